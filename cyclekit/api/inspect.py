@@ -15,7 +15,6 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, OutputError
 from cyclekit.estimate.what_to_log import WITHIN, RecordingPlan, what_to_log
 from cyclekit.ingest.discover import suggest_cell
-from cyclekit.inspect.describe import describe
 from cyclekit.inspect.facts import DatasetDescription, Description
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.outputs import check_writable
@@ -74,6 +73,8 @@ def inspect_logs(
         DatasetError: The dataset is of another schema version, or one of its files was changed.
         ModelError: The model is of another schema version, or damaged.
     """
+    from cyclekit.inspect.describe import describe  # local: `estimate` needs only `plan_recordings`
+
     count = Dataset.open(path).verify() if verify else None
     found = describe(local(path), cell=path_of(cell), progress=progress, follow_links=follow_links)
     if not isinstance(found, DatasetDescription):

@@ -307,12 +307,14 @@ class Dataset:
         """Yield the times (`t_s`) of one native-rate table in parts, as it may be larger than memory."""
         return self._recorded.times(recording, table)
 
-    def native_robot(self, execution: str, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
+    def native_robot(
+        self, execution: str, columns: Sequence[str] | None = None, *, if_there: Sequence[str] = ()
+    ) -> pl.DataFrame | None:
         """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log.
 
-        `columns`: columns to read; None = all.
+        `columns`: columns to read; None = all. `if_there`: further columns, where the log has them.
         """
-        return self._recorded.robot_of(self._execution(execution), columns)
+        return self._recorded.robot_of(self._execution(execution), columns, if_there)
 
     def find_execution(self, name: str) -> str:
         """Return the name of the execution `name`; a plain number counts executions from 1.

@@ -61,9 +61,17 @@ class DatasetFiles:
         """Return the changed files, with the problem of each, by name; empty without checksums."""
         return damaged_files(self._path, self._listed or {})
 
+    def path_of(self, name: str) -> Path:
+        """Return the path of a file, which is not verified.
+
+        Raises:
+            OutsideFolder: The name, which comes from the card, leads out of the dataset.
+        """
+        return safe_path(self._path, *name.split("/"))
+
     def has(self, name: str) -> bool:
         """Return whether the dataset has a file; a listed file that is missing counts."""
-        file = self._file(name)
+        file = self.path_of(name)
         return file.is_file() if self._listed is None else name in self._listed
 
     def of_samples(self, parts: AbstractSet[str] | None) -> list[Path]:
@@ -123,7 +131,7 @@ class DatasetFiles:
         Raises:
             DatasetError: It has more, or is no file.
         """
-        check_rows([self._file(name)], most, what)
+        check_rows([self.path_of(name)], most, what)
 
     def check_memory(self, files: Sequence[Path], wanted: Sequence[str], most: int | None = None) -> None:
         """Refuse to read more than fits into memory; otherwise the process would be killed.
@@ -234,19 +242,11 @@ class DatasetFiles:
         Raises:
             DatasetError: It cannot be read.
         """
-        with reading(self._file(name), self._path):
+        with reading(self.path_of(name), self._path):
             return in_one_line(rows.collect())
 
-    def _file(self, name: str) -> Path:
-        """Return the path of a file.
-
-        Raises:
-            OutsideFolder: The name, which comes from the card, leads out of the dataset.
-        """
-        return safe_path(self._path, *name.split("/"))
-
     def _checked(self, name: str, spans: Sequence[tuple[int, int]] | None) -> Path:
-        file = self._file(name)
+        file = self.path_of(name)
         if self._listed is None:
             problem = None if file.is_file() else "missing"
         else:

@@ -34,6 +34,8 @@ class RecordedTables:
             recordings: Cards of its recordings.
         """
         self._path, self._files, self._recordings = path, files, recordings
+        self._names: dict[str, list[str]] = {}
+        self._counted: set[str] = set()
 
     def table(self, recording: str, table: str) -> pl.DataFrame | None:
         """Return one table (`robot`, `people` or `events`) of a recording; None if there is none."""
@@ -82,10 +84,12 @@ class RecordedTables:
         with checksums.reading(file, self._path):
             return StoredTable(file, columns)
 
-    def robot_of(self, entry: ExecutionCard, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
+    def robot_of(
+        self, entry: ExecutionCard, columns: Sequence[str] | None = None, if_there: Sequence[str] = ()
+    ) -> pl.DataFrame | None:
         """Return the robot's rows of one execution, `t_s` in session time; None without a robot log.
 
-        `columns`: columns to read; None = all.
+        `columns`: columns to read; None = all. `if_there`: further columns, where the table has them.
         """
         for record in self._recordings:
             if record.session == entry.session and "robot" in record.tables:
@@ -95,11 +99,22 @@ class RecordedTables:
                 rate, offset_s = record.clock.rate, record.clock.offset_s
                 first, last = ((at_s - offset_s) / rate for at_s in (entry.start_s, entry.end_s))
                 inside = pl.col("t_s").is_between(entry.start_s, entry.end_s)
+                if columns is not None and if_there:
+                    there = self._columns(name) if shared is None else shared.collect_schema().names()
+                    columns = [*columns, *(each for each in if_there if each in there)]
                 if shared is None:  # decode only rows near the span
                     shared = self._files.between(name, first - _NEAR_S, last + _NEAR_S, columns)
                 rows = shared.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
                 return self._files.collected(rows if columns is None else rows.select(columns), name)
         return None
+
+    def _columns(self, name: str) -> list[str]:
+        """Return the columns of a native-rate table; what is read of them is verified later."""
+        if name not in self._names:
+            file = self._files.path_of(name)
+            with checksums.reading(file, self._path):
+                self._names[name] = pl.scan_parquet(file, glob=False).collect_schema().names()
+        return self._names[name]
 
     def _shared(self, recording: str, table: str) -> pl.LazyFrame | None:
         """Return a native-rate table in a file shared by recordings, as a lazy frame; None if it is not in one."""
@@ -115,8 +130,10 @@ class RecordedTables:
         name = _recorded(recording, table)
         if not self._files.has(name):
             return None
-        if (count := self._row_counts.get(recording, {}).get(table)) is not None:
+        count = self._row_counts.get(recording, {}).get(table)
+        if count is not None and name not in self._counted:  # once: a table is read again for each execution
             self._files.check_rows(name, count, f"in table {table}")
+            self._counted.add(name)
         return name
 
 

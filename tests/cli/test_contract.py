@@ -93,6 +93,17 @@ def test_help_imports_no_library_of_the_work() -> None:
         assert (returned, HEAVY.intersection(loaded)) == (0, set()), words
 
 
+def test_estimates_import_nothing_of_the_page_and_of_logs() -> None:
+    """Each takes a twentieth of the time of an estimate."""
+    code = (
+        "import sys; from cyclekit.api import estimate, given, inspect; from cyclekit.report import texts, verdict;"
+        "print(*sorted(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    unused = {"jinja2", "scipy.ndimage", "cyclekit.report.page", "cyclekit.inspect.describe"}
+    assert not unused.intersection(done.stdout.split())
+
+
 def test_help_answers_in_half_a_second_of_processor_time() -> None:
     code = (
         "import time, sys; from cyclekit.cli import run; run(['train', '--help']);"

@@ -122,6 +122,15 @@ def test_the_native_rows_of_an_execution_lie_within_it_at_the_rate_of_the_contro
     assert native.height == pytest.approx(row["duration_s"] * 125, abs=2)
 
 
+def test_further_columns_of_the_native_rows_are_read_where_the_log_has_them(boxes: SimulatedCell):
+    name = boxes.dataset.executions["execution"][1]
+    native = boxes.dataset.native_robot(name)
+    some = boxes.dataset.native_robot(name, ["t_s"], if_there=["q5_rad", "q6_rad"])
+    assert native is not None
+    assert some is not None
+    assert some.equals(native.select("t_s", "q5_rad"))  # the arm has six joints
+
+
 def test_a_folder_that_is_no_dataset_is_refused_with_the_command_that_makes_one(tmp_path: Path):
     for folder in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(DatasetError, match="cyclekit ingest"):

@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from cyclekit.dataset.cards.task_model import ClockErrorCard
 from cyclekit.learning.task_times.alike import find_with_alike
@@ -157,6 +156,8 @@ class _Tasks:
 
     def _followed(self, agent: str, found: _Searched) -> _Searched:
         """Return the conditions with the clock put right by what the lags of those found tell in each execution."""
+        from scipy.ndimage import median_filter  # slow to import, and most clocks are right
+
         for _ in range(ROUNDS):
             off: list[list[float]] = [[] for _ in found.amount_s]
             for one, lag_s, decided in _lags(agent, found):

@@ -9,6 +9,7 @@ import pytest
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.rules.samples.distances import TO_LINK
 from cyclekit.learning.rules.samples.rows import rows_of
 from cyclekit_sim import SimulationOptions, simulate
 from cyclekit_sim.rules import Limit, Rectangle, Rule
@@ -43,6 +44,21 @@ def test_changes_lie_on_the_edge_at_the_time_that_the_log_shows(tmp_path: Path) 
     off = np.minimum(np.abs(crossed - FROM_M), np.abs(crossed - TO_M))
     assert np.median(off) < 0.005
     assert np.median(off) < 0.3 * np.median(np.abs((at - before) / 2))
+
+
+def test_each_log_is_read_once_for_the_links_and_the_dates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+    native_robot = Dataset.native_robot
+
+    def counted(dataset: Dataset, name: str, *columns: object, **more: object) -> object:
+        read.append(name)
+        return native_robot(dataset, name, *columns, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Dataset, "native_robot", counted)
+    found = rows(tmp_path)
+    assert TO_LINK in found.apart_m
+    assert np.isfinite(found.dated).any()
+    assert len(read) == len(set(read)) == 4
 
 
 def test_ramps_are_dated_by_their_start(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.robot import ROBOT
 from cyclekit.learning.rules.ladder import RuleSearch, find_rule
 from cyclekit.learning.rules.of_dataset import with_partial_latency
+from cyclekit.learning.rules.polygons import polygons
 from cyclekit.learning.rules.samples.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.samples.positions import Positions
 from cyclekit.learning.rules.samples.quantities import quantities
@@ -227,6 +228,16 @@ def in_polygon(human: np.ndarray) -> np.ndarray:
     way = np.roll(POLYGON_M, -1, axis=0) - POLYGON_M
     to = human[:, None, :2] - POLYGON_M
     return np.asarray((way[:, 0] * to[..., 1] - way[:, 1] * to[..., 0] > 0).all(axis=1))
+
+
+def test_the_sides_of_a_polygon_are_looked_at_closely_only_where_it_explains_the_level(monkeypatch: Any) -> None:
+    looked: list[int] = []
+    monkeypatch.setattr(polygons, "needed", lambda state, *_: (looked.append(len(state.angle_rad)), state)[1])
+    for slow_outside in (True, False):
+        levels = (2, 1) if slow_outside else (1, 2)
+        rows = rows_by(lambda _robot, human, _margin, levels=levels: np.where(in_polygon(human), *levels))
+        find_rule(rows, LEVELS, kinds=["polygon on the floor"])
+        assert bool(looked) is not slow_outside
 
 
 def test_a_polygon_is_named_by_its_corners() -> None:

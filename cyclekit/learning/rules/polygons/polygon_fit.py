@@ -32,6 +32,11 @@ _STEP, _ANY_SIZE = 1.7, 0.3
 """Size of a step, in standard deviations of the side; share of steps of any size."""
 _MOST, _DECADES = 0.1, 2.5
 """Largest such step, rad and m, and decades of smaller ones."""
+_BAND, _MANY = 9.0, 200
+"""Standard deviations beyond which the likelihood no longer changes, in double precision, and the number of samples
+from which those beyond are left out."""
+_NEVER = float(np.log(WRONG))
+"""Log-likelihood of samples beyond on the wrong side; on the right side it is 0."""
 _LATE_STEP, _JITTER_STEP = 0.03, 0.3
 
 
@@ -137,7 +142,18 @@ def terms_of(depth_m: Vector, spread_m: Vector) -> Vector:
         depth_m: How far each sample lies within the polygon, (K,), m.
         spread_m: Standard deviation of the positions, m, times 1 or -1 for samples inside or outside, (K,).
     """
-    return np.asarray(np.log(WRONG + (1.0 - WRONG) * ndtr(depth_m / spread_m)))
+    z = depth_m / spread_m
+    if len(z) < _MANY:
+        return _logs(z)
+    found = np.asarray((z < 0.0) * _NEVER, np.float64)
+    near = (np.abs(z) < _BAND).nonzero()[0]
+    found[near] = _logs(z[near])
+    return found
+
+
+def _logs(z: Vector) -> Vector:
+    """Return the log-likelihood of samples that lie z standard deviations within the polygon."""
+    return np.asarray(np.log(WRONG + (1.0 - WRONG) * ndtr(z)))
 
 
 def terms_with(terms: Vector, depth_m: Vector, tried_m: Vector, spread_m: Vector) -> Vector:
@@ -196,6 +212,8 @@ def walk(
     late, jitter = begin.late, begin.jitter
     # kept: most steps are not accepted, and one side changes the depth of few samples
     angles, through = begin.angle_rad.tolist(), begin.through_m.tolist()
+    still = not samples.pace_m.any()  # the time of the samples changes nothing
+    speed = np.hypot(*samples.pace_m.T)
     floor, spread = samples.at_time(late).T, samples.side * samples.spread_with(jitter)
     every = begin.out_m[:, None] - normals(begin.angle_rad) @ floor
     depth = every.min(axis=0)
@@ -228,16 +246,16 @@ def walk(
                 every[side] = before
         here = begin.moved(turn, move)
         tried_late = late + _LATE_STEP * rng.normal()
-        tried_floor = samples.at_time(tried_late).T
+        tried_floor = floor if still else samples.at_time(tried_late).T
         tried_every = here.out_m[:, None] - normals(here.angle_rad) @ tried_floor
         tried = tried_every.min(axis=0)
         tried_terms = terms_of(tried, spread)
         if accepts(new := float(tried_terms.sum()), (late**2 - tried_late**2) / (2 * LATE**2)):
             floor, every, depth, terms, fit, late = tried_floor, tried_every, tried, tried_terms, new, tried_late
         tried_jitter = min(max(float(jitter * np.exp(_JITTER_STEP * rng.normal())), JITTER[0]), JITTER[1])
-        tried_spread = samples.side * samples.spread_with(tried_jitter)
-        tried_terms = terms_of(depth, tried_spread)
-        if accepts(new := float(tried_terms.sum()), 0.0):
+        tried_spread = spread if still else samples.side * np.hypot(samples.spread_m, tried_jitter * speed)
+        tried_terms = terms if still else terms_of(depth, tried_spread)
+        if accepts(new := fit if still else float(tried_terms.sum()), 0.0):
             spread, terms, fit, jitter = tried_spread, tried_terms, new, tried_jitter
         drawn.append(np.array([turn, move]))
     turns, moves = np.array(drawn).swapaxes(0, 1)

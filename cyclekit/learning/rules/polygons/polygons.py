@@ -37,6 +37,9 @@ _GAIN = 3e-4
 _ANGLES = np.deg2rad(np.arange(0.0, 360.0, 6.0))
 _COARSE_DEG, _FINE_DEG = (4.0, 2.0), (1.0, 0.4, 0.15)
 _ROUNDS = 4
+_LEAST = 0.9
+"""Share of the samples that a polygon must explain for its sides to be looked at closely: no rule that explains less is
+chosen, and most of the search's time would go into these. The sides of a chosen rule are always looked at."""
 _SPREAD_M = 0.01
 """Standard deviation of positions in the choice of sides, m; the chosen rule is fitted again with that of the logs."""
 
@@ -61,6 +64,11 @@ class _Floor(NamedTuple):
         for side in sides:
             found &= self.along(side.angle_rad) < side.cut.value
         return found
+
+    def explained(self, sides: Sequence[_Side] | None) -> float:
+        """Return the share of the weight of rows that a polygon explains; None: no polygon."""
+        inside = False if sides is None else self.within(sides)
+        return float(self.weight[inside == self.slow].sum() / self.weight.sum())
 
     def gain(self, sides: Sequence[_Side]) -> float:
         """Return the weight of slow rows inside minus that of fast rows inside."""
@@ -88,7 +96,8 @@ def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCa
     if not about.slow.any():
         return None
     if start is None:
-        sides = _needed(floor, _fewer(floor, _drawn(about)))
+        sides = _fewer(floor, _drawn(about))
+        sides = _needed(floor, sides) if floor.explained(sides) > max(_LEAST, floor.explained(None)) else sides
     else:
         sides = [_Side(side.angle_rad, Cut(side.metres.value, side.metres.value)) for side in start.sides]
     sides = _moved(floor, sides, _FINE_DEG if start is None else _FINE_DEG[1:])

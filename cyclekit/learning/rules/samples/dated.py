@@ -11,10 +11,14 @@ from cyclekit.scaling.commanded import commanded_levels
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import polars as pl
+
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.scaling.commanded import Response
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
+SCALING = ("t_s", "scaling")
+"""Columns of the log that are read."""
 MAX_SAMPLES = 3
 """Maximum number of samples from the row before a change to the row after it."""
 MAX_PART = 0.5
@@ -48,45 +52,56 @@ class RowsWithLevels(Protocol):
         """Number of the sample, shape (N,)."""
 
 
-def dated(
-    dataset: Dataset,
-    executions: Sequence[str],
-    rows: RowsWithLevels,
-    t_s: Vector,
-    levels: Sequence[float],
-    response: Response,
-) -> Floats:
-    """Return for each row the times around the change of the level since the row before, shape (N, 2).
+class Dating:
+    """Dates changes of the level, one execution after the other."""
 
-    These are the times of the last row of the log before the change and of the first after it, as parts (0 to 1) of the
-    time between both samples. NaN if the level did not change, if the log shows no more than the samples do, or if its
-    scaling is not that of the samples (inferred, by another log, divided by a slider).
+    def __init__(
+        self,
+        rows: RowsWithLevels,
+        t_s: Vector,
+        levels: Sequence[float],
+        response: Response,
+    ) -> None:
+        """Find the changes.
 
-    Args:
-        dataset: Dataset of the rows.
-        executions: Names of the executions, by number.
-        rows: N rows.
-        t_s: Session time of each sample, by its number, s.
-        levels: Levels of the speed scaling, ascending.
-        response: Response of the safety function to remove; without reaction time if the rows are without it.
-    """
-    found = np.full((len(rows), 2), np.nan)
-    before = rows.before
-    near = (before >= 0) & (rows.sample - rows.sample[before] <= MAX_SAMPLES)
-    changes = np.flatnonzero(near & rows.known & rows.known[before] & (rows.level != rows.level[before]))
-    for number in np.unique(rows.execution[changes]):
-        log = dataset.native_robot(executions[number], ("t_s", "scaling"))
-        if log is None or log["scaling"].is_null().all():
-            continue
-        mine = changes[rows.execution[changes] == number]
+        Args:
+            rows: N rows.
+            t_s: Session time of each sample, by its number, s.
+            levels: Levels of the speed scaling, ascending.
+            response: Response of the safety function to remove; without reaction time if the rows are without it.
+        """
+        before = rows.before
+        near = (before >= 0) & (rows.sample - rows.sample[before] <= MAX_SAMPLES)
+        changes = np.flatnonzero(near & rows.known & rows.known[before] & (rows.level != rows.level[before]))
+        self._rows, self._t_s, self._levels, self._response = rows, t_s, levels, response
+        self._changes = {
+            int(number): changes[rows.execution[changes] == number] for number in np.unique(rows.execution[changes])
+        }
+        self.found: Floats = np.full((len(rows), 2), np.nan)
+        """For each row the times around the change of the level since the row before, shape (N, 2).
+
+        These are the times of the last row of the log before the change and of the first after it, as parts (0 to 1) of
+        the time between both samples. NaN if the level did not change, if the log shows no more than the samples do, or
+        if its scaling is not that of the samples (inferred, by another log, divided by a slider)."""
+
+    def read(self, number: int, log: pl.DataFrame | None) -> None:
+        """Date the changes in one execution, from `t_s` and `scaling` of the robot's log."""
+        changes = self._changes.pop(number, None)
+        if changes is None or log is None or log["scaling"].is_null().all():
+            return
+        rows, before, t_s = self._rows, self._rows.before, self._t_s
         time_s, scaling = log["t_s"].to_numpy(), log["scaling"].fill_null(np.nan).to_numpy()
-        level = commanded_levels(time_s, scaling, levels, response).level.astype(np.int64)
-        for row in mine.tolist():
+        level = commanded_levels(time_s, scaling, self._levels, self._response).level.astype(np.int64)
+        for row in changes.tolist():
             ends = (float(t_s[rows.sample[before[row]]]), float(t_s[rows.sample[row]]))
             between = _between(time_s, level, ends, (int(rows.level[before[row]]), int(rows.level[row])))
             if between is not None and between[1] - between[0] <= MAX_PART:
-                found[row] = between
-    return found
+                self.found[row] = between
+
+    def read_rest(self, dataset: Dataset, executions: Sequence[str]) -> None:
+        """Date the changes in executions whose log was not read yet, given the names of all by number."""
+        for number in sorted(self._changes):
+            self.read(number, dataset.native_robot(executions[number], SCALING))
 
 
 def _between(

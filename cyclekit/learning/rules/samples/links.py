@@ -11,13 +11,16 @@ from cyclekit.dataset.cards.rule import PoseCard
 from cyclekit.learning.rules.samples.distances import to_links
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    import polars as pl
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
 
 _JOINTS = 6
+ANGLES = tuple(f"q{joint}_rad" for joint in range(_JOINTS + 1))
+"""Columns of joint angles to read: those of an arm, and one more that it must not have."""
 CUBE_M, MAX_POSES = 0.04, 2000
 """Edge length, m, of cubes of TCP positions that share a pose, and maximum number of poses stored."""
 _NEAR, _MIN_M = 4, 1e-3
@@ -75,6 +78,7 @@ def to_nearest_link(
     t_s: NDArray[np.float64],
     robot_m: NDArray[np.float64],
     human_m: NDArray[np.float64],
+    log_of: Callable[[str], pl.DataFrame | None] | None = None,
 ) -> NDArray[np.float64] | None:
     """Return the distance of the nearest link at each sample, shape (N,), m; None if the arm is not recognised.
 
@@ -84,13 +88,18 @@ def to_nearest_link(
         t_s: As in `arm_points`.
         robot_m: As in `arm_points`.
         human_m: The operator, shape (N, 3), m.
+        log_of: As in `arm_points`.
     """
-    points = arm_points(dataset, executions, t_s, robot_m)
+    points = arm_points(dataset, executions, t_s, robot_m, log_of)
     return None if points is None else to_links(points, human_m)
 
 
 def arm_points(
-    dataset: Dataset, executions: NDArray[np.object_], t_s: NDArray[np.float64], robot_m: NDArray[np.float64]
+    dataset: Dataset,
+    executions: NDArray[np.object_],
+    t_s: NDArray[np.float64],
+    robot_m: NDArray[np.float64],
+    log_of: Callable[[str], pl.DataFrame | None] | None = None,
 ) -> NDArray[np.float64] | None:
     """Return the joints from base to TCP at each sample, shape (N, J, 3), m; None if the arm is not recognised.
 
@@ -99,13 +108,15 @@ def arm_points(
         executions: Execution of each sample, shape (N,), grouped.
         t_s: Session times, shape (N,), s.
         robot_m: The TCP, shape (N, 3), m, used to recognise the arm.
+        log_of: Reads the robot's log of an execution with its `ANGLES`; None: from the dataset.
     """
     first = np.flatnonzero(np.concatenate([[True], executions[1:] != executions[:-1]]))
     angles = np.full((len(t_s), _JOINTS), np.nan)
+    *names, beyond = ANGLES
     for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(t_s)], strict=True):
-        joints = dataset.native_robot(str(executions[begin]))
-        names = [f"q{i}_rad" for i in range(_JOINTS)]
-        if joints is None or not set(names) <= set(joints.columns) or f"q{_JOINTS}_rad" in joints.columns:
+        name = str(executions[begin])
+        joints = dataset.native_robot(name, ("t_s",), if_there=ANGLES) if log_of is None else log_of(name)
+        if joints is None or not set(names) <= set(joints.columns) or beyond in joints.columns:
             return None
         known = joints.drop_nulls(names)
         if known.height > 1:

@@ -13,10 +13,10 @@ from msgspec import structs
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import commanded_in_time, without_slider
-from cyclekit.learning.rules.samples.dated import dated
+from cyclekit.learning.rules.samples.dated import SCALING, Dating
 from cyclekit.learning.rules.samples.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.samples.earlier import earlier
-from cyclekit.learning.rules.samples.links import to_nearest_link
+from cyclekit.learning.rules.samples.links import ANGLES, to_nearest_link
 from cyclekit.learning.rules.samples.positions import Positions
 from cyclekit.learning.rules.samples.signals import signals_of
 from cyclekit.learning.windows import nobody_there
@@ -102,6 +102,14 @@ class RuleRows:
         parts = (self.execution[keep], self.at_m[keep], self.sample[keep], self.dated[keep])
         return RuleRows(self.positions.where(keep), self.level[keep], before, *parts)
 
+    def with_link(self, to_link_m: Vector | None) -> RuleRows:
+        """Return the rows with the distance of the nearest link, shape (samples,), m; None = unknown."""
+        if to_link_m is None:
+            return self
+        mine = to_link_m[self.sample]
+        apart = {**self.apart_m, TO_LINK: np.where(np.isnan(mine), np.inf, mine)}
+        return replace(self, positions=replace(self.positions, apart_m=apart))
+
     @classmethod
     def made(
         cls,
@@ -111,7 +119,6 @@ class RuleRows:
         execution: NDArray[np.int64],
         *,
         stretch: NDArray[np.int64] | None = None,
-        to_link_m: Vector | None = None,
         signals: Mapping[tuple[str, float], NDArray[np.str_]] | None = None,
     ) -> RuleRows:
         """Return rows from positions (N, 3), m, and commanded levels (N,), without rows of unknown level (-1).
@@ -124,7 +131,6 @@ class RuleRows:
             level: Index of the level, or k + 0.5: faster than level k.
             execution: Number of the execution, shape (N,).
             stretch: Number of the unbroken stretch, shape (N,); None: one per execution.
-            to_link_m: Distance of the nearest link, shape (N,), m; None = unknown.
             signals: As in `Positions`, shape (N,) each.
         """
         of = execution if stretch is None else stretch
@@ -132,7 +138,6 @@ class RuleRows:
         robot_m, human_m, level = robot_m[known], human_m[known], level[known]
         execution, of = execution[known], of[known]
         apart = {name: distance(robot_m, human_m) for name, distance in DISTANCES.items()}
-        apart |= {} if to_link_m is None else {TO_LINK: to_link_m[known]}
         apart = {name: np.where(np.isnan(each), np.inf, each) for name, each in apart.items()}
         at = np.arange(len(level))
         before = np.where(np.diff(of, prepend=-1) == 0, at - 1, -1)
@@ -174,12 +179,20 @@ def rows_of(
     names = frame["execution"].to_numpy()
     order = {name: number for number, name in enumerate(executions)}
     number = frame["execution"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
-    to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:])
     said = signals_of(dataset, executions, frame, level, run) if signals else None
     known = run + hidden_for_long(level >= 0, t_s)
     level = np.where(level < UNKNOWN, -1.5 - level, level)
-    rows = RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link, signals=said)
-    return replace(rows, dated=dated(dataset, executions, rows, t_s, levels, response))
+    rows = RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, signals=said)
+    dating = Dating(rows, t_s, levels, response)
+
+    def log_of(name: str) -> pl.DataFrame | None:
+        log = dataset.native_robot(name, SCALING, if_there=ANGLES)
+        dating.read(order[name], log)  # both on the way: reading a log takes longer than this
+        return log
+
+    to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:], log_of)
+    dating.read_rest(dataset, executions)
+    return replace(rows.with_link(to_link), dated=dating.found)
 
 
 def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:

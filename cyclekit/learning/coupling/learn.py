@@ -42,6 +42,7 @@ from cyclekit.learning.coupling.pace.pace import at_latest_pace, operator_pace, 
 from cyclekit.learning.coupling.parts.unseen_parts import find_unseen_parts, with_parts
 from cyclekit.learning.coupling.phases import with_phases
 from cyclekit.learning.coupling.sources import find_sources
+from cyclekit.learning.coupling.subset import in_runs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
     UnseenParts = Callable[[str], SourceCard | None]
 
 MIN_EXECUTIONS, MAX_EXECUTIONS = 5, 400
-"""Minimum and maximum number of executions to learn from; if there are more, an evenly spaced subset is used."""
+"""Minimum and maximum number of executions to learn from; if there are more, evenly spaced runs of them are used."""
 EVEN = 0.2
 """Maximum ratio of the ranges of lag and standstill, 10 to 90 %, if the event explains the standstills."""
 NEARLY_ALL = 0.9
@@ -113,7 +114,7 @@ def learn_executions(
     """
     if len(courses) < MIN_EXECUTIONS:
         return None
-    some = courses[:: -(-len(courses) // MAX_EXECUTIONS)]
+    some = [courses[number] for number in in_runs(len(courses), MAX_EXECUTIONS)]
     found = learn_courses(some, given)
     if (pace := operator_pace(_without_known_trips(courses, found), found)) is not None:
         factors = pace.factors()

@@ -10,13 +10,14 @@ from cyclekit.dataset.cards.coupling import GateCard, SourceCard
 from cyclekit.learning.coupling.conditions.answers import find_answers
 from cyclekit.learning.coupling.conditions.lags import deciding_causes, quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
+from cyclekit.learning.coupling.subset import evenly
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.schema import Vector
 
-MAX_GAPS = 400
+MAX_GAPS = 1200
 """Maximum number of gaps to learn from."""
 FULL = 0.98
 """Share of the parts at whose arrival no more parts than the buffer size are waiting."""
@@ -55,7 +56,7 @@ def _source(courses: Sequence[ExecutionVisits], event: Event, place: str) -> Sou
         return None
     buffer = max(1, int(np.quantile(waiting, FULL, method="higher")))
     since = np.concatenate([_since(*each, buffer) for each in zip(came, taken, strict=True)], axis=1)
-    since = since[:, :: -(-since.shape[1] // MAX_GAPS)]
+    since = since[:, evenly(since.shape[1], MAX_GAPS)]
     decided = deciding_causes(since).share.argmax(axis=0) == 0
     gaps = reverse_kaplan_meier(since[0], decided * 1.0, np.ones(len(decided), np.bool_))
     return SourceCard(

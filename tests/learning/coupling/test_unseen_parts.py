@@ -12,7 +12,7 @@ from cyclekit import schema
 from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.learning.coupling.events.part_visits import PartVisits, Times
 from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit, events_of
-from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.learn import MAX_EXECUTIONS, learn_courses, learn_executions
 from cyclekit.learning.coupling.parts.part_chains import succession
 from cyclekit.learning.coupling.parts.part_gaps import _fast, part_gaps
 from cyclekit.learning.coupling.parts.unseen_parts import part_arrivals
@@ -108,6 +108,14 @@ def test_a_belt_that_runs_on_between_executions_is_found(parts: int, buffer: int
     came_before = np.mean(np.array(source.first_s) < 0.0)
     firsts = [next(visit for visit in course.visits["robot"] if visit.place == "belt") for course in courses]
     assert 0.05 < came_before < np.mean([visit.left_s - visit.arrived_s < 0.7 for visit in firsts])
+
+
+def test_a_belt_that_runs_on_is_found_in_more_executions_than_are_learned_from() -> None:
+    """Executions that follow each other tell when parts came, so some of these are among those learned from."""
+    courses = _running_on(np.random.default_rng(5), MAX_EXECUTIONS + 20, 1, 1, 16.0)
+    card = learn_executions(courses, schema.empty(schema.TASKS))
+    assert card is not None
+    assert [(source.signal, source.buffer, source.comes_on) for source in card.sources] == [("part at belt", 1, True)]
 
 
 def test_executions_that_are_not_known_to_follow_each_other_tell_nothing_of_it() -> None:

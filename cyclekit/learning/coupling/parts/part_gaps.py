@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.learning.coupling.subset import evenly
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -68,7 +70,7 @@ def part_gaps(visits: PartVisits, first: Times | None, gaps: Times, buffer: int)
         buffer: Maximum number of waiting parts.
     """
     rows = [chain[:MAX_PARTS] for chain in _rows(visits, buffer)]
-    rows = rows[:: -(-len(rows) // MAX_CHAINS)]
+    rows = [rows[number] for number in evenly(len(rows), MAX_CHAINS)]
     longest_s = max(part.latest_s for chain in rows for part in chain)
     bin_s = max(BIN_S, longest_s / (MAX_BINS - 2))
     chains, bins = _chains(rows, bin_s), int(longest_s / bin_s) + 2

@@ -48,6 +48,40 @@ def test_a_task_done_before_its_turn_makes_no_second_execution(tmp_path: Path) -
     assert log.warnings == ()
 
 
+OTHERS = [
+    ("human", "pick", 0.0, 4.0),
+    ("arm", "mount", 2.0, 5.0),
+    ("human", "place", 4.0, 3.0),
+    ("arm", "pack", 8.0, 2.0),
+]
+
+
+def test_agents_may_change_their_tasks_from_one_execution_of_a_name_to_the_next(tmp_path: Path) -> None:
+    runs = [("a", 0.0, PLAN), ("a", 50.0, OTHERS), ("a", 100.0, PLAN), ("a", 150.0, OTHERS)]
+    log = _read(tmp_path / "a.csv", runs)
+    assert log.task_list["execution"].unique(maintain_order=True).to_list() == ["a", "a #2", "a #3", "a #4"]
+    assert log.task_list.group_by("execution").len()["len"].to_list() == [4, 4, 4, 4]
+    assert any("'a' (4 executions)" in text for text in log.warnings)
+
+
+def test_a_plan_that_begins_again_while_a_task_runs_makes_no_second_execution(tmp_path: Path) -> None:
+    log = _read(tmp_path / "a.csv", [("a", 0.0, PLAN), ("a", 7.0, OTHERS)])
+    assert set(log.task_list["execution"]) == {"a"}
+
+
+def test_without_names_the_plan_tells_executions_apart(tmp_path: Path) -> None:
+    _read(tmp_path / "a.csv", [("a", 0.0, PLAN), ("a", 50.0, OTHERS), ("a", 100.0, PLAN)])
+    lines = [line.split(",", 1)[1] for line in (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()]
+    (tmp_path / "b.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    log = ADAPTER.read(tmp_path / "b.csv", ReadOptions())
+    assert log.task_list["execution"].n_unique() == 3
+    assert not any("no column gives" in text for text in log.warnings)
+    (tmp_path / "c.csv").write_text("\n".join([*lines[:5], ""]), encoding="utf-8")
+    log = ADAPTER.read(tmp_path / "c.csv", ReadOptions())
+    assert log.task_list["execution"].null_count() == 4
+    assert any("no column gives" in text for text in log.warnings)
+
+
 SHORT = PLAN[:2]
 
 

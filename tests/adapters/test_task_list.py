@@ -70,8 +70,9 @@ def test_the_cell_file_says_who_is_a_robot_and_who_a_person(tmp_path):
     log = read(path, operator=["Anna"], robot=["human"])
     assert log.task_list["agent"].to_list() == ["operator", "robot"]
     assert log.warnings == (
-        "no column gives the execution of a task: all are taken for one. Say in the cell file which does, "
-        'map = { execution = "COLUMN" }, or that a new one begins after a rest: [executions] begin = "gap"',
+        "no column gives the execution of a task: a file is taken for one. If it has several, say in the cell file "
+        'which column does, map = { execution = "COLUMN" }, or that a new one begins after a rest: [executions] '
+        'begin = "gap"',
     )
 
 

@@ -135,7 +135,7 @@ def test_lists_without_executions_are_one_or_begin_anew_after_gaps(tmp_path: Pat
     (logs / "plan.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     one = Dataset.open(ingest([logs], tmp_path / "one").dataset)
     assert one.executions.select("start_s", "end_s").rows() == [(0.0, 21.0)]
-    assert any("all are taken for one" in text for text in one.recordings[0].said)
+    assert any("a file is taken for one" in text for text in one.recordings[0].said)
     (logs / "cell.toml").write_text('[executions]\nbegin = "gap"\ngap_s = 5.0\n', encoding="utf-8")
     split = Dataset.open(ingest([logs], tmp_path / "split").dataset)
     assert split.executions.select("start_s", "end_s").rows() == [(0.0, 12.0), (20.0, 21.0)]

@@ -18,7 +18,7 @@ def named_apart(cells: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:
     """Return the cells with executions of the same name numbered, `a`, `a #2`, ..., and a warning if there are any.
 
     A name stands for several executions if the planned starts of every agent go back equally often, and each
-    execution then has the same tasks.
+    execution then has the same tasks, or as many, and ends before the next begins.
 
     Args:
         cells: Columns `execution`, `agent`, `task`, `start_s`, `planned_start_s` (s since the start of the plan).
@@ -30,12 +30,42 @@ def named_apart(cells: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:
     turns = turns.with_columns(turn=back.cast(pl.Int64).cum_sum().over(agent)).sort("_row")
     work = turns.group_by("execution", "turn").agg(pl.concat_str("agent", "task", separator="\0").sort())
     several = work.group_by("execution").agg(alike=pl.col("agent").n_unique() == 1, count=pl.len())
-    several = several.filter(pl.col("alike") & (pl.col("count") > 1), pl.col("execution").is_not_null())
+    one_after_other = _one_after_other(turns)
+    whole = pl.col("alike") | pl.col("execution").is_in(one_after_other)
+    several = several.filter(whole & (pl.col("count") > 1), pl.col("execution").is_not_null())
     if several.is_empty():
         return _apart_by_plan_and_others(cells)
     found, warnings = _numbered(cells, several, turns["turn"], "whose plan begins again")
     more, others = _apart_by_plan_and_others(found)
     return more, [*warnings, *others]
+
+
+def _one_after_other(turns: pl.DataFrame) -> list[str]:
+    """Return the names whose plan begins again at its start each time, for as many tasks, when all before have ended.
+
+    Which agent does a task may change from one execution to the next. A repeated task may make some of them longer.
+
+    Args:
+        turns: Columns of `named_apart`, and `turn`, which grows where the planned starts of an agent go back.
+    """
+    parts = turns.group_by("execution", "turn").agg(
+        pl.len(),
+        pl.col("planned_start_s").min(),
+        first=pl.col("start_s").min(),
+        last=pl.max_horizontal("start_s", "end_s").max(),
+    )
+    before = pl.col("last").shift(1).over("execution", order_by="turn")
+    starts = pl.col("planned_start_s")
+    alone = (pl.col("first") >= before - TOUCH_S).fill_null(value=True)
+    found = (
+        parts.with_columns(alone=alone)
+        .group_by("execution")
+        .agg(
+            alone=pl.col("alone").all() & (starts <= starts.min() + BEGIN_S).all(),
+            alike=(pl.col("len") == pl.col("len").mode().first()).mean(),
+        )
+    )
+    return found.filter(pl.col("alone"), pl.col("alike") >= WHOLE)["execution"].drop_nulls().to_list()
 
 
 def _apart_by_plan_and_others(cells: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:

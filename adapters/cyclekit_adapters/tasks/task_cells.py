@@ -92,7 +92,7 @@ def task_table(
     people = [name for name, kind in kinds.items() if kind == "operator"]
     warnings = [
         *_aside_warnings(aside, cells.height),
-        *_warnings(rows, columns, people),
+        *_warnings(rows, people),
         *_plan_warnings(good),
         *clocks.warnings,
     ]
@@ -138,7 +138,7 @@ def _outcome() -> pl.Expr:
     return known.otherwise(pl.col("outcome")).alias("outcome")
 
 
-def _warnings(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[str]) -> list[str]:
+def _warnings(rows: pl.DataFrame, people: Sequence[str]) -> list[str]:
     messages = []
     if not people and rows["agent_name"].n_unique() > 1:
         names = ", ".join(map(repr, rows["agent_name"].unique(maintain_order=True).to_list()[:6]))
@@ -146,12 +146,14 @@ def _warnings(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[s
             f"no agent is recognised as a person ({names}): all are taken for robots. "
             'Say in the cell file who is one: map = { operator = ["NAME"] }'
         )
-    if "execution" not in columns:
+    unnamed = rows["execution"].null_count()
+    if unnamed == rows.height:
         messages.append(
-            "no column gives the execution of a task: all are taken for one. Say in the cell file which does, "
-            'map = { execution = "COLUMN" }, or that a new one begins after a rest: [executions] begin = "gap"'
+            "no column gives the execution of a task: a file is taken for one. If it has several, say in the cell file "
+            'which column does, map = { execution = "COLUMN" }, or that a new one begins after a rest: [executions] '
+            'begin = "gap"'
         )
-    elif unnamed := rows["execution"].null_count():
+    elif unnamed:
         messages.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
     if (failed := int((rows["outcome"] == "failed").sum())) > MOST_FAILED * rows.height:
         messages.append(f"{failed} of {rows.height} tasks failed: too many for failures, so the outcome is not used")

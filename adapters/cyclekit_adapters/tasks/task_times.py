@@ -29,6 +29,8 @@ _FIRST = 200
 _NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
 _NO_TIME = (*_NOTHING, "inf", "+inf", "-inf", "infinity", "+infinity", "-infinity")
 _ZONED = r"(?:Z|[+-]\d{2}:?\d{2})$"
+UNNAMED = "execution"
+"""Name of executions that only their plans tell apart."""
 _PLAN = ("planned_start", "planned_end")
 
 
@@ -92,8 +94,10 @@ def with_seconds(
     if "execution" in cells.columns and not (plan == "execution" and "planned_start" in read):
         cells, repeated = named_apart_by_others(cells)
     if plan == "execution":
-        if "execution" in cells.columns and "planned_start" in read:
-            cells, repeated = named_apart(cells)
+        if "planned_start" in read:
+            named = "execution" in cells.columns
+            apart, repeated = named_apart(cells if named else cells.with_columns(execution=pl.lit(UNNAMED)))
+            cells = apart if named or repeated else cells
         begin = pl.col("start_s").min()
         if "planned_start" in read:  # the first task may be planned later than 0
             begin -= pl.col("planned_start_s").min().fill_null(0.0)

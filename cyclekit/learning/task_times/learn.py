@@ -52,13 +52,14 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
         progress: Called with the share done.
 
     Raises:
-        DatasetError: There are too few complete executions.
+        DatasetError: There are too few complete executions, or none has a task of another one.
         ConfigError: The cell file tells of waits at places, or of a task that no list has.
     """
     runs, agents = logged_runs(dataset)
     if len(runs) < MIN_EXECUTIONS:
         msg = f"{dataset.place}: executions whose tasks all have an end: {len(runs)}; {MIN_EXECUTIONS} are needed"
         raise DatasetError(msg, cure=f"Ingest more logs. What is known: {command_line('inspect', dataset.place)}")
+    _check_names(dataset, runs)
     given = dataset.card.settings.waits
     _check_waits(runs, agents, given)
     single = one_at_a_time(runs, MIN_EXECUTIONS)
@@ -66,6 +67,15 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
     model = learn_runs(clean, agents, given=given, seed=seed, folds=FOLDS, progress=progress)
     left_out = {"failed": len(single) - len(clean), "at_once": len(runs) - len(single)}
     return structs.replace(model, dataset=dataset.path.name, **left_out)
+
+
+def _check_names(dataset: Dataset, runs: Sequence[Run]) -> None:
+    """Refuse task lists in which every execution has names of its own, as with its number in them."""
+    names = [{(agent, done.task) for agent, some in run.tasks.items() for done in some} for run in runs]
+    if sum(map(len, names)) == len(set().union(*names)):
+        example = runs[0].tasks[min(runs[0].tasks)][0].task
+        msg = f"{dataset.place}: no task is in two executions: each has names of its own, such as {example!r}"
+        raise DatasetError(msg, cure="Give a task the same name in all executions, without their number, and ingest.")
 
 
 def _check_waits(runs: Sequence[Run], agents: Mapping[str, str], given: Sequence[Wait]) -> None:

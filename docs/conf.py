@@ -26,7 +26,10 @@ SIDEBAR = {
         *(f"docs/{name}" for name in ("report", "replay", "fleet", "library")),
     ],
     "Relying on it": ["docs/benchmarks", "docs/reliability", "docs/privacy", "CHANGELOG"],
-    "Changing it": ["docs/architecture", "adapters/README", "sim_fixtures/README", "docs/notebook/README", *NOTES, *TABLES],
+    "Changing it": [
+        *("docs/architecture", "adapters/README", "sim_fixtures/README", "docs/notebook/README"),
+        *(*NOTES, *TABLES),
+    ],
 }
 """Sections of the sidebar, with their pages. It is added here, since elsewhere it would show as text."""
 

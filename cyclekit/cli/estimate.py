@@ -43,7 +43,7 @@ DOUBT_MARK = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
 PLAN_RESTS = "rest: the robot waited on its way to the place"
 PLAN_SHARES = "in brackets: in which share of the cycles it came last"
-MIN_WAIT_S = 0.2
+MIN_WAIT_S = 0.05
 """Minimum wait between two tasks, s, whose cause is printed."""
 
 

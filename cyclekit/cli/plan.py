@@ -12,6 +12,8 @@ from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCe
 from cyclekit.cli.terminal import Terminal, bullet
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.plan.task_orders import TaskOrderPlan
 
@@ -82,16 +84,25 @@ def _both(found: TaskOrderPlan) -> str:
     )
 
 
+def _orders(robot: str, operator: Sequence[str]) -> list[str]:
+    return [f"robot: {robot}", f"operator: {', '.join(operator)}"]
+
+
 def _text(found: OrderPlan) -> str:
     from cyclekit.estimate.plan import some
 
     saved, low, high = found.saves_s
     star = "*" if found.doubts else ""
+    order = ", ".join(found.order)
+    seen = [
+        f"saves {saved:z.1f} s a cycle ({low:z.1f} to {high:z.1f} s, 95%) with the logged operators",
+        f"of that {found.saves_unseen_s:z.1f} s with operators that were not used to choose the order",
+    ]
+    both = [f"saves {saved:z.1f} s a cycle ({low:z.1f} to {high:z.1f} s, 95%)"]
     lines = [
-        f"order: {', '.join(found.order)}",
+        *([f"order: {order}"] if found.operator is None else _orders(order, found.operator)),
         f"expected {found.expected_s:.1f} s{star}; {found.against} {found.against_s:.1f} s on average",
-        f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%) with the logged operators",
-        f"of that {found.saves_unseen_s:.1f} s with operators that were not used to choose the order",
+        *(both if found.drawn_alike else seen),
         f"{found.searched}: {found.tried} orders scored; {found.executions} logged executions",
     ]
     if found.unlogged:

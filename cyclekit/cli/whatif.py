@@ -86,7 +86,7 @@ def _table(found: Sequence[WhatIf]) -> str:
                 starred(entry.before, f"{entry.before.expected_s:.1f}"),
                 starred(after, f"{after.expected_s:.1f}"),
                 f"{after.expected_low_s:.1f}-{after.expected_high_s:.1f}",
-                f"{saved:.1f} ({low:.1f} to {high:.1f})",
+                f"{saved:z.1f} ({low:z.1f} to {high:z.1f})",
             ]
         )
     return table(["change ", "sequence ", "before, s", "after, s", "mean (95%)", "saves, s"], rows)

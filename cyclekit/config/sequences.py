@@ -135,7 +135,9 @@ def _sequence(path: Path, entry: _Entry, index: int) -> TaskSequence:
     if entry.task:
         return _plan(where, entry, index, path)
     if (entry.places is None) == (entry.tasks is None):
-        raise ConfigError(f"{where}: needs either places or tasks", cure='places = ["home", "conveyor", "left_1"]')
+        one = "both places and tasks" if entry.places is not None else "no places, tasks or [[sequence.task]]"
+        cure = 'places = ["home", "conveyor", "left_1"]; or for both agents [[sequence.task]] agent = ..., name = ...'
+        raise ConfigError(f"{where}: {one}", cure=cure)
     places = entry.places if entry.places is not None else _joined(where, entry.tasks or ())
     if len(places) < 2:
         raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from cyclekit.learning.task_times.prepared import agent_of, prepared
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.cards.task_model import TaskModelCard
@@ -40,7 +41,24 @@ def doubts_of_plan(model: TaskModelCard, sequence: TaskSequence) -> tuple[str, .
     ]
     if alone:
         found.append(f"{sequence.shown}: logged only as a joint task, and here not as often: {_some(alone)}")
-    return tuple(found)
+    return (*found, *_waits_without_task(model, sequence, names))
+
+
+def _waits_without_task(
+    model: TaskModelCard, sequence: TaskSequence, names: Sequence[tuple[str, str]]
+) -> Iterator[str]:
+    """Yield a sentence for each kind of wait that is left out, as the plan lacks the task that is waited for."""
+    cards = {(card.agent, card.task): card for card in model.tasks}
+    turns, lacking = Counter[tuple[str, str]](), Counter[str]()
+    for task, name in zip(sequence.plan, names, strict=True):
+        for need in cards[name].needs:
+            other = need.agent, need.task
+            if need.needed == 1.0 and other[0] != name[0] and turns[name] - need.back >= names.count(other):
+                lacking[f"wait of {task.shown} for {need.agent}: {need.task}"] += 1
+        turns[name] += 1
+    for wait, count in lacking.items():
+        times = {1: "once", 2: "twice"}.get(count, f"{count} times")
+        yield f"{wait}: left out {times}, the plan has no such task then"
 
 
 def never_in_a_row(model: TaskModelCard, sequence: TaskSequence) -> list[str]:

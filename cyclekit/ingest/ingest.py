@@ -50,6 +50,7 @@ from cyclekit.ingest.shared_logs import may_be_shared, split_shared
 from cyclekit.learning.coupling.events.logged_visits import courses_of
 from cyclekit.learning.coupling.learn import learn_executions
 from cyclekit.learning.coupling.waits import with_waits_named
+from cyclekit.learning.coupling.words import contradicted
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import built, clean_up, locked, needs_clean_up, write_parquet, write_text
@@ -247,7 +248,7 @@ def _build(
         cell, not_read = names.settings(), names.not_read(not_read)
     tasks, coupling = _with_waits(derived, native, stored, cell)
     write_parquet(tasks, staging / TASKS)
-    derived = replace(derived, tasks=tasks, recordings=recordings, warnings=warnings)
+    derived = replace(derived, tasks=tasks, recordings=recordings, warnings=[*warnings, *contradicted(coupling)])
     card = structs.replace(
         card_of(cell, derived, not_read, wanted.settings, wanted.fingerprint),
         coupling=coupling,

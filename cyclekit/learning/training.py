@@ -38,10 +38,11 @@ from cyclekit.scaling.levels import Staircase, second_opinion
 from cyclekit.storage.scratch import Scratch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     import polars as pl
 
+    from cyclekit.dataset.cards.rule import RuleCard
     from cyclekit.learning.networks.fitted import Fitted
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.schema import Progress
@@ -117,6 +118,12 @@ def _without_levels(spec: ModelSpec) -> ModelSpec:
     return replace(spec, network="regressor", hidden=NETWORKS["regressor"].hidden, target="logged")
 
 
+def warnings_with_rule(warnings: Iterable[Note], rule: RuleCard) -> tuple[Note, ...]:
+    """Return the warnings of a network that still matter where a rule answers in its place."""
+    needless = {"model-beaten"} if rule.law is None else {"model-beaten", *OF_STAIRCASES}
+    return tuple(one for one in warnings if one.code not in needless)
+
+
 def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0, stairs: bool = True) -> TrainedModel:
     """Return the model with the simplest rule that explains the commanded level, or with a warning if there is none.
 
@@ -144,9 +151,7 @@ def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0, stairs: b
         found = replace(found, rule=None)
     why = verdict(found) if stairs else "the scaling has no levels, and follows no law of one distance"
     said = () if found.rule is not None else (note("model-data", text=f"{why}; the network answers"),)
-    warned = model.card.warnings
-    if found.rule is not None and found.rule.law is not None:
-        warned = tuple(one for one in warned if one.code not in OF_STAIRCASES)
+    warned = model.card.warnings if found.rule is None else warnings_with_rule(model.card.warnings, found.rule)
     card = structs.replace(model.card, rule=found.rule, warnings=(*warned, *said))
     return replace(model, card=card)
 

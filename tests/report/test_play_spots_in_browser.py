@@ -64,7 +64,7 @@ ORDERS = [
 ASKED = {"given": (OPERATOR, True), "named": (NAMED, True), "places": (OPERATOR, False), "ahead": (AHEAD, False)}
 CHANGES = {
     "faster": ({"pace": 1.3}, Change("p", faster={"operator": 1.3})),
-    "no wait": ({"without": ["operator approach inbound"]}, Change("n", without_waits=("operator approach inbound",))),
+    "no wait": ({"without": ["operator before inbound"]}, Change("n", without_waits=("operator approach inbound",))),
     "ramp": STAIRS["ramp"],
 }
 ANYWHERE = {"other_cell": True, "extrapolate": True}

@@ -79,7 +79,7 @@ ORDERS = [both(ROBOT, OPERATOR, "given"), both(TURNED, OPERATOR[1:], "turned"),
 ASKED = {"given": (ROBOT, OPERATOR, True), "turned": (TURNED, OPERATOR[1:], True), "places": (ROBOT, OPERATOR, False)}
 CHANGES = {
     "faster": ({"pace": 1.3}, Change("p", faster={"operator": 1.3})),
-    "no wait": ({"without": ["robot approach right_3"]}, Change("n", without_waits=("robot approach right_3",))),
+    "no wait": ({"without": ["robot before right_3"]}, Change("n", without_waits=("robot approach right_3",))),
     "parts": ({"buffer": {"part": 3}}, Change("b", buffer={"part": 3})),
     "ramp": STAIRS["ramp"],
     "threshold": STAIRS["threshold"],
@@ -312,7 +312,7 @@ def test_the_operators_visits_are_moved_and_a_wait_removed(tab, cell, tmp_path):
     tab.ask(whole)
     assert shown(tab, "mean") == f"{given['given'].expected_s:.1f} s"
     tab.ask("[...document.querySelectorAll('.play-switch input')]"
-            ".find(each => each.value === 'robot approach right_3').click()")  # fmt: skip
+            ".find(each => each.value === 'robot before right_3').click()")  # fmt: skip
     tab.ask(whole)
     assert shown(tab, "mean") == f"{changed['given', 'no wait'].expected_s:.1f} s"
     tab.ask("document.querySelectorAll('#play ol')[1].querySelectorAll('li button')[1].click()")

@@ -57,7 +57,7 @@ ORDERS = [
 ASKED = {"given": (OPERATOR, True), "places": (OPERATOR, False), "goes there": (THERE, True), "late": (LATE, False)}
 CHANGES = {
     "faster": ({"pace": 1.3}, Change("p", faster={"operator": 1.3})),
-    "no wait": ({"without": ["operator leave inbound"]}, Change("n", without_waits=("operator leave inbound",))),
+    "no wait": ({"without": ["operator at inbound"]}, Change("n", without_waits=("operator leave inbound",))),
     "ramp": STAIRS["ramp"],
 }
 

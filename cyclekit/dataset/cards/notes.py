@@ -219,6 +219,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
     ),
     "heights-unknown": "heights are unknown: distances are horizontal",
+    "wait-contradicted": (
+        "[[waits]] in cell.toml: the {agent} is said to wait {where} until {until}, but only {obeyed} of {passages} "
+        "logged passages came after that: estimates of orders may end in deadlocks; correct or remove it"
+    ),
     # task lists
     "listed-of-robot": "{tasks} tasks of the robot are not used: its log already shows them",
     "listed-outside": "{outside} of {tasks} tasks of the operator are outside of every execution",

@@ -31,7 +31,7 @@ from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.robot.safety import OnStates
-from cyclekit.estimate.statistics.resample import interval_of_mean, least_wide, share_within
+from cyclekit.estimate.statistics.resample import drawn_errors, interval_of_mean, least_wide, share_within
 from cyclekit.estimate.validation.question import Altered, Question
 from cyclekit.learning.networks.cell import trained_on
 from cyclekit.learning.out_of_core import in_memory
@@ -55,9 +55,13 @@ WHY_ALONE = "robot rolled out with learned waits for signals, beside the logged 
 RESAMPLES = 1000
 NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
 
+ALONE = (
+    "the plan has no task of the operator: nobody slows the robot, and it waits for nobody; name his tasks, or give "
+    "the robot's places alone (places = [...]): his tasks are then drawn from the logs"
+)
 COMPOSED = (
-    "no log has so many visits to the places where one agent waits for the other: what the operator does between them "
-    "is put together from parts of logged executions"
+    "no log has exactly as many visits to the places where one agent waits for the other: what the operator does "
+    "between them is put together from parts of logged executions"
 )
 
 
@@ -251,17 +255,20 @@ class JointAnswers:
         durations = np.resize(cycles.duration_s, weights.shape[1]) * factor
         expected = float(durations.mean())
         means = weights @ durations
+        error = float(np.hypot(check.model_error if check else 0.0, pace_error))
+        judged = len(check.residuals) if check else FEW_EXECUTIONS
         low, high = interval_of_mean(
             means,
-            model_error=float(np.hypot(check.model_error if check else 0.0, pace_error)),
-            judged=len(check.residuals) if check else FEW_EXECUTIONS,
+            model_error=error,
+            judged=judged,
             bias_s=check.doubted_bias * expected if check else 0.0,
             seed=ask.seed,
         )
         shares = _slowed(task_shares(cycles), factor)
         split = {part: sum(getattr(share, part) for share in shares) for part in SPLIT}
         bias = check.doubted_bias if check else 0.0
-        within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias)
+        errors = drawn_errors(float(np.hypot(check.by_order if check else 0.0, pace_error)), judged, ask.seed)
+        within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias, errors=errors)
 
         def quantile(cycles_s: Vector, level: float) -> float:
             return check.quantile(cycles_s, level) if check else float(np.quantile(cycles_s, level))
@@ -309,7 +316,8 @@ def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
     composed = [COMPOSED] if cycles.plan.composed else []
     unsourced = waits_without_source((cycles.plan.robot, *cycles.plan.operators), cell.coupling)
     told = cycles.plan.both and waits_without_task(cycles.plan.robot, *cycles.plan.operators)
-    return [*([ended] if part else []), *composed, *unsourced, *(told or ())]
+    alone = [ALONE] if cycles.plan.both and not cell.unseen and not cycles.plan.operators[0].tasks else []
+    return [*alone, *([ended] if part else []), *composed, *unsourced, *(told or ())]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:

@@ -38,6 +38,7 @@ ROWS = 8192
 """Number of cycles simulated at once."""
 REST_S, TIMES = 60.0, 4.0
 """A cycle is abandoned after TIMES the undisturbed work of both agents plus REST_S, s."""
+TOLD = "or correct [[waits]] in the cell file, and ingest and train again"
 ENDLESS_PART = 0.05
 """Maximum share of abandoned cycles that are left out; with more, the plan has no answer."""
 STUCK_PART = 0.25
@@ -258,7 +259,13 @@ class JointCell:
             dynamics=self.dynamics,
         )
         for n, plan in enumerate(plans):
-            yield _of_one(plan, simulated, np.flatnonzero(which == n), columns, number, does, operator.shared)
+            rows = np.flatnonzero(which == n)
+            yield _of_one(plan, simulated, rows, columns, number, does, operator.shared, told=self._told)
+
+    @property
+    def _told(self) -> bool:
+        """Whether a wait is from the cell file."""
+        return any(gate.told for gate in self.coupling.gates) if self.coupling is not None else False
 
     def sources(self, robots: Sequence[Agenda]) -> list[Agenda]:
         """Return how signals come, but those that one operator gives in turn."""
@@ -306,6 +313,8 @@ def _of_one(
     number: dict[Agenda, int],
     does: Ints,
     shared: Vector,
+    *,
+    told: bool,
 ) -> RolledBoth | EstimateError:
     stuck = rows[simulated.stuck[rows]]
     if len(stuck) > STUCK_PART * len(rows):
@@ -313,7 +322,7 @@ def _of_one(
         part = f" in {len(stuck) / len(rows):.0%} of the cycles" if len(stuck) < len(rows) else ""
         return EstimateError(
             f"{plan.name}: deadlock{part}: {deadlock(plan.robot, operator, simulated, stuck[0], columns)}",
-            cure="Change the order of one agent, or 'after'.",
+            cure="Change the order of one agent, or 'after'" + (f"; {TOLD}." if told else "."),
         )
     asked, rows = len(rows), rows[~simulated.stuck[rows]]
     robot, mine, duration = _agents_of(plan, simulated, rows, number, does)

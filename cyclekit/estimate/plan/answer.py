@@ -90,6 +90,11 @@ class OrderPlan(Result):
     notes: tuple[str, ...] = ()
     operator: tuple[str, ...] | None = None
 
+    @property
+    def drawn_alike(self) -> bool:
+        """Whether all orders were compared with the same draws of both agents, so no logged operators chose it."""
+        return self.saves_unseen_s == self.saves_s[0]
+
     def sequence(self, name: str) -> TaskSequence:
         """Return the order as a sequence: the robot's places or, if the operator's was searched too, a plan of both."""
         if self.operator is None:
@@ -257,6 +262,9 @@ def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[s
     for name in (*(place for job in jobs.visit for place in job.split(ROW)), jobs.start, jobs.end, jobs.via):
         if name is not None and name not in dataset.places:
             raise UnknownName(jobs.shown, "place", name, dataset.places)
+    for name in (*(place for job in jobs.operator for place in job.split(ROW)), jobs.operator_end):
+        if name is not None and name not in dataset.human_places:
+            raise UnknownName(jobs.shown, "place of the operator", name, dataset.human_places)
     wanted = jobs.needed()
     missing = sorted(wanted.difference(known))
     return {task: known[task] for task in wanted if task in known}, missing

@@ -36,6 +36,10 @@ _EXAMPLE = """For example:
   end = "home"
   via = "conveyor"
   visit = ["left_1", "right_1"]"""
+_OF_BOTH = """Name the places of both agents. For example:
+  start = "home"
+  visit = ["feeder->fixture", "tray->rack_1"]
+  operator = ["bench->fixture", "shelf"]"""
 
 
 @dataclass(frozen=True)
@@ -172,4 +176,7 @@ def load_jobs(path: Path) -> Jobs:
     raw = read_toml(path)
     if not raw:
         raise ConfigError(f"{path}: no jobs in it", cure=_EXAMPLE)
+    if "task" in raw:
+        seen = f"{path}: [[task]] is for models of task lists, and this model knows positions"
+        raise ConfigError(seen, cure=_OF_BOTH)
     return to_dataclass(str(path), raw, Jobs, shown=str(path), unlogged=frozenset())

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats
 
 
+MAX_BETWEEN = 3
+"""Maximum number of places between start and goal of a task that was never logged, for a proposed way."""
+
+
 @dataclass(frozen=True)
 class Program:
     """Motions and standstills of a sequence along nominal time.
@@ -72,11 +76,27 @@ def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset:
             raise UnknownName(sequence.shown, "place", place, places)
     if missing := [task for task in sequence.tasks if task not in nominal]:
         seen = f"{sequence.shown}: task {missing[0]!r} was never logged with a known speed scaling"
-        cure = f"Use tasks that were: {_tasks_from(missing[0], nominal)}."
+        cure = _by_way_of(missing[0], dataset) or f"Use tasks that were: {_tasks_from(missing[0], nominal)}."
         raise EstimateError(seen, cure=cure)
     tasks = tuple(nominal[task].of_work(sequence.places) for task in sequence.tasks)
     parts = [part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)]
     return Program(tasks, np.cumsum(parts))
+
+
+def _by_way_of(task: str, dataset: Dataset) -> str | None:
+    """Return by which places the robot usually goes from the start of a task to its goal in the logs, as a cure."""
+    start, _, goal = task.partition("->")
+    ways = Counter[tuple[str, ...]]()
+    for went in (one.places for one in dataset.card.executions):
+        for number, place in enumerate(went):
+            ahead = went[number + 1 : number + MAX_BETWEEN + 2]
+            if place == start and goal in ahead[1:]:
+                ways[ahead[: ahead.index(goal, 1)]] += 1
+    if not ways:
+        return None
+    between, times = max(ways.items(), key=lambda way: (way[1], -len(way[0])))
+    names = " and ".join(between)
+    return f"In the logs the robot goes from {start} to {goal} by {names} ({times} times): name {names} between them."
 
 
 def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:

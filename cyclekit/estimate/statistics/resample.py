@@ -71,20 +71,37 @@ def interval_of_mean(
         bias_s: Possible bias to either side, s, which resampling does not show.
         seed: Seed of the draw from Student's t.
     """
-    means = means_s * (1.0 + model_error * np.random.default_rng(seed + 1).standard_t(max(judged - 1, 1), len(means_s)))
+    means = means_s * (1.0 + drawn_errors(model_error, judged, seed, count=len(means_s)))
     return float(np.quantile(means, 0.025)) - bias_s, float(np.quantile(means, 0.975)) + bias_s
 
 
+def drawn_errors(model_error: float, judged: int, seed: int, *, count: int = RESAMPLES) -> Vector:
+    """Return the error of the mean in each resample, as a share of it, shape (count,): `interval_of_mean`."""
+    return np.asarray(model_error * np.random.default_rng(seed + 1).standard_t(max(judged - 1, 1), count))
+
+
 def share_within(
-    durations_s: Vector, takt_s: float, weights: Floats, *, bias: float = 0.0
+    durations_s: Vector, takt_s: float, weights: Floats, *, bias: float = 0.0, errors: Vector | None = None
 ) -> tuple[float, float, float]:
     """Return the share of K cycles that take at most `takt_s`, and its 95 % interval over the resamples.
 
-    `bias`: possible bias of every cycle to either side, as a share of it; it widens the interval.
+    Args:
+        durations_s: The cycles, shape (K,), s.
+        takt_s: Takt time, s.
+        weights: Weights of the cycles in each resample, shape (R, K).
+        bias: Possible bias of every cycle to either side, as a share of it; it widens the interval.
+        errors: Error of all cycles in each resample, as a share, shape (R,): it widens the interval too.
     """
-    meets, slower, quicker = (durations_s * (1 + off) <= takt_s for off in (0.0, bias, -bias))
-    low, high = float(np.quantile(weights @ slower, 0.025)), float(np.quantile(weights @ quicker, 0.975))
-    return float(meets.mean()), low, high
+    meets = float((durations_s <= takt_s).mean())
+    if errors is None:
+        slower, quicker = (weights @ (durations_s * (1 + off) <= takt_s) for off in (bias, -bias))
+    else:
+        order = np.argsort(durations_s)
+        upto = np.concatenate([np.zeros((len(weights), 1)), np.cumsum(weights[:, order], axis=1)], axis=1)
+        longest = (takt_s / ((1 + off) * np.maximum(1 + errors, 1e-9)) for off in (bias, -bias))
+        ends = (np.searchsorted(durations_s[order], each, side="right") for each in longest)
+        slower, quicker = (upto[np.arange(len(weights)), end] for end in ends)
+    return meets, float(np.quantile(slower, 0.025)), float(np.quantile(quicker, 0.975))
 
 
 def means_below(means: Sequence[Vector], index: int) -> Vector:

@@ -40,7 +40,7 @@ name = "a practised operator, parts in advance"   # if robot and operator wait f
 faster = { operator = 1.2 }                       # 1.2 times as fast; in task lists also robot or the agent's name
 buffer = { part = 3 }                             # parts in advance, of a source or of a task of task lists
 more_places = { fixture = 1 }                     # additional places that an agent waits for to be free
-without_waits = ["robot approach fixture"]        # waits that are removed
+without_waits = ["robot before fixture"]          # waits that are removed
 no_wait = [["weld", "mount"]]                     # in task lists: weld no longer waits for mount; "part": for parts
 """
 
@@ -162,7 +162,7 @@ class Change:
         places: Moved places of the robot: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, relative to the logged ones.
         more_places: Number of additional places, by name of a place that an agent waits for to be free.
-        without_waits: Waits that are removed: `robot approach fixture`.
+        without_waits: Waits that are removed, named as in `inspect`: `robot before fixture`.
         dynamics: Changed response of s to the safety function, by name in `Dynamics`: s, 1/s or m.
         faster: Factor on the speed of an agent, by agent; only the operator in cells with positions.
         no_wait: Pairs of tasks of task lists: the first no longer waits for the second; `part` = for parts that

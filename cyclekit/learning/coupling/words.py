@@ -7,14 +7,21 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from cyclekit.dataset.cards.notes import note
 from cyclekit.learning.coupling.waits import condition_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, InTurnCard, SourceCard, TripCard
+    from cyclekit.dataset.cards.notes import Note
 
-_AT = {"leave": "at", "approach": "before"}
+AT = {"leave": "at", "approach": "before"}
+"""Where an agent waits, by the kind of gate: `robot before fixture`."""
+
+
+MOSTLY = 0.9
+"""A wait of the cell file is contradicted if a smaller share of the logged passages obeys it."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +54,29 @@ def wait_rows(found: CouplingCard | None, shown: Callable[[str], str] = str) -> 
     rows = []
     for gate in found.gates if found else ():
         for one in gate.conditions:
-            who = f"{gate.agent} {_AT[gate.at]} {shown(gate.place)}" + (" (told)" if gate.told else "")
+            who = f"{gate.agent} {AT[gate.at]} {shown(gate.place)}" + (" (told)" if gate.told else "")
             who += f", at {shown(gate.wait_at)}" if gate.wait_at else ""
             low_s, middle_s, high_s = (_quantile(one.lag_s, level) for level in (0.05, 0.5, 0.95))
             had_to_wait = f"{one.decided} of {gate.passages}" + (f" ({one.alike} at all alike)" if one.alike else "")
             until = condition_text(one, shown) + _passages(one)
             rows.append(WaitRow(gate, one, who, until, (low_s, middle_s, high_s), had_to_wait))
     return rows
+
+
+def contradicted(found: CouplingCard | None) -> list[Note]:
+    """Return a note for each wait of the cell file that the logged passages contradict."""
+    rows = [row for row in wait_rows(found) if row.gate.told and row.condition.held < MOSTLY and row.gate.passages]
+    return [
+        note(
+            "wait-contradicted",
+            agent=row.gate.agent,
+            where=f"{AT[row.gate.at]} {row.gate.place}",
+            until=row.until,
+            obeyed=round(row.condition.held * row.gate.passages),
+            passages=row.gate.passages,
+        )
+        for row in rows
+    ]
 
 
 def _passages(one: ConditionCard) -> str:
@@ -87,7 +110,7 @@ def habit_lines(found: CouplingCard | None) -> list[str]:
 def _trip_line(gate: GateCard, trip: TripCard) -> str:
     took_s = sorted(trip.took_s)
     return (
-        f"operator {_AT[gate.at]} {gate.place}: trips to {' or '.join(trip.places)} in {trip.waiting:.0%} of his waits "
+        f"operator {AT[gate.at]} {gate.place}: trips to {' or '.join(trip.places)} in {trip.waiting:.0%} of his waits "
         f"and {trip.free:.0%} of the other passages, {_quantile(took_s, 0.05):.1f} to {_quantile(took_s, 0.95):.1f} s"
     )
 
@@ -114,9 +137,8 @@ def _source_lines(source: SourceCard, *, in_turn: bool) -> list[str]:
     gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
     if not source.after:
         between = ", also between executions" if source.comes_on else ""
-        return [
-            f"parts of {source.signal} come {gap} apart{between}; at most {source.buffer} wait at {source.taken_by}"
-        ]
+        signal = "" if source.inferred else f" of {source.signal}"
+        return [f"parts{signal} come {gap} apart{between}; at most {source.buffer} wait at {source.taken_by}"]
     lines = []
     for one in source.after:
         lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"

@@ -138,9 +138,9 @@ def drift_between(
     cycles = [frame.executions.filter("complete")["duration_s"].to_numpy() for frame in (older, newer)]
     if min(len(part) for part in cycles) > 1:
         usual = float(cycles[0].mean())
-        habits.append(_shift("cycle time, part of its mean before", cycles[0] / usual, cycles[1] / usual, MIN_SHARE))
+        habits.append(_shift("cycle time, 1 = its mean before", cycles[0] / usual, cycles[1] / usual, MIN_SHARE))
     if (paces := pace_before_and_after(older, newer)) is not None:
-        habits.append(_shift("duration of the operator's work and walks, part of that before", *paces, MIN_SHARE))
+        habits.append(_shift("time that the operator's work and walks take, 1 = as before", *paces, MIN_SHARE))
     counts = (judged[0]["execution"].n_unique(), judged[1]["execution"].n_unique())
     return Drift(tuple(safety), tuple(habits), counts)
 

@@ -201,10 +201,33 @@ const withinOfBoth = (entry, takt_s) => { // share_within
   return within;
 };
 const sharesWithin = ({ durations_s: durations, shared }, takt_s) => {
-  const within = (by) => durations.map((value) => Number(value * (1 + by) <= takt_s));
-  const bias = facts.check.doubted_bias;
-  const [slower, quicker] = [bias, -bias].map((by) => sorted(inDraws(within(by), shared)));
-  return leastWide([mean(within(0)), quantile(slower, 0.025), quantile(quicker, 0.975)]);
+  const { doubted_bias: bias, share_error: error } = facts.check;
+  const { first, which } = tables.few; // set for the interval of the mean
+  const order = Array.from(durations.keys()).sort((a, b) => durations[a] - durations[b]);
+  const middle = shared ? mean(shared) : 0;
+  const slope = [0]; // of the share with what durations share, up to each cycle: answer.with_sessions
+  if (shared) order.forEach((n, at) => slope.push(slope[at] + (shared[n] - middle) / durations.length));
+  const lengths = order.map((n) => durations[n]);
+  const upTo = (longest) => { // number of cycles that take no longer
+    let [low, high] = [0, lengths.length];
+    while (low < high) {
+      const at = (low + high) >> 1;
+      if (lengths[at] <= longest) low = at + 1; else high = at;
+    }
+    return low;
+  };
+  const drawn = (by) => sorted(Float64Array.from(tables.errors, (off, row) => {
+    const longest = takt_s / ((1 + by) * Math.max(1 + error * off, 1e-9));
+    let [sum, count] = [0, 0];
+    for (let at = first[row]; at < first[row + 1]; at += 1) {
+      const times = tables.drawn[row * facts.cycles + which[at]];
+      if (durations[which[at]] <= longest) sum += times;
+      count += times;
+    }
+    return sum / count + (shared ? tables.shifts[row] * slope[upTo(longest)] : 0);
+  }));
+  const meets = mean(durations.map((value) => Number(value <= takt_s)));
+  return leastWide([meets, quantile(drawn(bias), 0.025), quantile(drawn(-bias), 0.975)]);
 };
 
 const answerBoth = (asked_for, asked, takt_s, deadline = Infinity) => {

@@ -34,7 +34,7 @@ from cyclekit.learning.coupling.conditions.waiting_spots import is_spot, possibl
 from cyclekit.learning.coupling.events.errands import errand_places, with_errands
 from cyclekit.learning.coupling.events.logged_visits import courses_of
 from cyclekit.learning.coupling.events.part_visits import WAITED_S
-from cyclekit.learning.coupling.events.trips import MIN_TRIPS, parted_courses, trip_places, waits_before_s, with_trips
+from cyclekit.learning.coupling.events.trips import are_trips, parted_courses, trip_places, waits_before_s, with_trips
 from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
 from cyclekit.learning.coupling.pace.common_pace import with_common_pace
 from cyclekit.learning.coupling.pace.own_work import own_work_by_place, rest_at_start
@@ -159,7 +159,7 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
         gates = {(gate.at, gate.place) for gate in found.gates if gate.agent == "operator" and gate.conditions}
         after_s = waits_before_s(found, parted, trips)
         parted, trips = parted_courses(courses, places, gates, after_s)
-        if sum(map(len, trips)) >= MIN_TRIPS:
+        if are_trips(parted, trips):
             tried = with_trips(_without_trips(parted, given, parts), parted, trips, places, after_s)
             if tried is not None:
                 return tried
@@ -199,14 +199,15 @@ def _goes_on(gate: GateCard, goal: str) -> bool:
 
 def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait], parts: UnseenParts) -> CouplingCard:
     """Return the wait conditions learned from executions in which no visit is a trip."""
-    barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
+    ended_by: set[Event] = set().union(*(course.ended_by for course in courses))
+    barred: dict[Agent, set[Event]] = {"robot": set(), "operator": ended_by}
     kinds: dict[Agent, Kinds] = {}
-    departures = {agent: find_with_alike(courses, agent, given) for agent in AGENTS}
+    departures = {agent: find_with_alike(courses, agent, given, barred[agent]) for agent in AGENTS}
     turns: tuple[tuple[Agent, Agent], ...] = (("robot", "operator"), ("operator", "robot"), ("robot", "operator"))
     for who, other in turns:
         known, kinds[who] = kinds.get(who, {}), kinds_by_waits(departures[other])
         if kinds[who] != known:
-            departures[who] = find_with_alike(courses, who, given, (), kinds[who])
+            departures[who] = find_with_alike(courses, who, given, barred[who], kinds[who])
     unseen = _unseen(departures["robot"], given, parts)
     if unseen:
         courses = with_parts(courses, unseen)

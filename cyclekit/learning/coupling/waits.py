@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 
 import numpy as np
 import polars as pl
 
 from cyclekit.learning.coupling.conditions.waiting_spots import spots_of, with_spots
 from cyclekit.learning.coupling.events.errands import with_errands
+from cyclekit.learning.coupling.events.givers import WITHIN_S
 from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits
 from cyclekit.learning.coupling.parts.unseen_parts import with_parts
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
+    from cyclekit.learning.coupling.events.visits import PlaceVisit
 
 MIN_S = 0.1
 """Minimum duration of a wait, s."""
@@ -106,24 +108,33 @@ def _departures(
         before = visits[number - 1] if number else None
         if gate.at == "approach" and np.isfinite(visit.reached_s):
             yield number, visit.reached_s, visit.went_on_s, occurrence
-        elif gate.at == "leave" or before is not None:
+        elif gate.at == "leave" or _goes_there(before, visit):
             which, stands = (number, visit) if gate.at == "leave" or before is None else (number - 1, before)
             own_s = usual.get((gate.agent, stands.place), 0.0)
             if np.isfinite(stands.left_s) and np.isfinite(stands.arrived_s):
                 yield which, stands.arrived_s + own_s, stands.left_s, occurrence
-        occurrence += gate.at == "leave" or before is not None
+        occurrence += 1
+
+
+def _goes_there(before: PlaceVisit | None, visit: PlaceVisit) -> TypeGuard[PlaceVisit]:
+    """Return whether an agent comes from a known place, and is not at the place already."""
+    return before is not None and (before.place != visit.place or before.left_s < visit.arrived_s)
 
 
 def _opened(course: ExecutionVisits, condition: ConditionCard, occurrence: int, left_s: float) -> float | None:
     """Return when a condition let a departure go on, s; None if the condition did not decide it."""
     event = Event(condition.agent, condition.place, condition.event)
-    at = course.events.get(event, np.empty(0))
     number = condition.turns.event(occurrence, condition.back)
-    if number is None or number >= len(at):
-        return None
-    since = left_s - float(at[number])
-    decided = condition.lag_s[0] - ABOUT_S <= since <= condition.lag_s[-1] + ABOUT_S
-    return left_s - since + float(np.median(condition.lag_s)) if decided else None
+    least_s, most_s = condition.lag_s[0] - ABOUT_S, condition.lag_s[-1] + ABOUT_S
+    kinds = [(event, most_s)]
+    if condition.signal is not None:  # he may have stayed there after it; else he left a moment later
+        kinds.append((event._replace(signal=condition.signal), most_s + WITHIN_S))
+    for kind, latest_s in kinds:
+        at = course.events.get(kind, np.empty(0))
+        since = left_s - float(at[number]) if number is not None and number < len(at) else np.nan
+        if least_s <= since <= latest_s:
+            return left_s - since + float(np.median(condition.lag_s))
+    return None
 
 
 def condition_text(condition: ConditionCard, shown: Callable[[str], str] = str) -> str:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
+from cyclekit import schema
 from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 from cyclekit.learning.coupling.learn import learn_courses
+from cyclekit.learning.coupling.waits import with_waits_named
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.coupling import Agent, ConditionCard
@@ -95,3 +98,21 @@ def test_who_presses_and_then_leaves_as_the_robot_goes_on_did_not_wait_for_it() 
     assert ("robot", "leaves", "view") in found
     assert ("operator", "arrives", "show") in found
     assert ("operator", "leaves", "show") not in found
+
+
+def test_waits_of_the_robot_are_named_also_where_he_stays_at_the_button() -> None:
+    rng = np.random.default_rng(6)
+    courses = [_welded(rng, str(n)) for n in range(40)]
+    rows = [
+        {"execution": one.name, "index": n, "agent": "robot", "arrival_s": visit.arrived_s, "end_s": visit.left_s}
+        | {"dwell_s": visit.left_s - visit.arrived_s, "wait_s": visit.went_on_s - visit.reached_s}
+        for one in courses
+        for n, visit in enumerate(one.visits["robot"][1:])
+    ]
+    tasks = schema.conform(pl.DataFrame(rows), schema.TASKS)
+    found = with_waits_named(tasks, courses, learn_courses(courses)).filter(
+        pl.col("wait_s").is_finite() & (pl.col("wait_s") > 0.3)
+    )
+    assert found.height > 30
+    assert found["waited_for"].drop_nulls().unique().to_list() == ["operator leaves panel (start set)"]
+    assert found["waited_for"].null_count() == 0

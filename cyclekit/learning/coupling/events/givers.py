@@ -56,7 +56,7 @@ def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event])
         visits = list(one.visits["operator"])
         for signal in events:
             if signal in ends:
-                visits = _parted(visits, signal.place, events[signal])
+                visits = parted_at(visits, signal.place, events[signal])
         if len(visits) > len(one.visits["operator"]):
             events |= events_of({"operator": visits})
         found.append(replace(one, visits={**one.visits, "operator": visits}, events=events))
@@ -66,7 +66,7 @@ def with_givers(courses: Sequence[ExecutionVisits], doubtful: Collection[Event])
 def _best_place(courses: Sequence[ExecutionVisits], kind: Event) -> tuple[float, Event] | None:
     """Return the place whose visits explain most changes of a signal, as the event of the operator, and their share."""
     places = sorted({visit.place for course in courses for visit in course.visits["operator"]})
-    shares = {place: _shares(courses, kind, place) for place in places}
+    shares = {place: shares_in_visits(courses, kind, place) for place in places}
     place = max(shares, key=lambda name: sum(shares[name]), default=None)
     if place is None:
         return None
@@ -92,7 +92,7 @@ def _task_ends(courses: Sequence[ExecutionVisits], given: Mapping[Event, Event])
     }
 
 
-def _parted(visits: Sequence[PlaceVisit], place: str, at: Vector) -> list[PlaceVisit]:
+def parted_at(visits: Sequence[PlaceVisit], place: str, at: Vector) -> list[PlaceVisit]:
     """Return visits with those to a place in which the operator gives a signal several times parted there."""
     found = []
     for visit in visits:
@@ -110,7 +110,7 @@ def _within(visit: PlaceVisit, at: Vector) -> Vector:
     return at[(at >= visit.arrived_s) & (at <= end + WITHIN_S)]
 
 
-def _shares(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> tuple[float, float]:
+def shares_in_visits(courses: Sequence[ExecutionVisits], kind: Event, place: str) -> tuple[float, float]:
     """Return the shares of a signal's changes explained by the operator's visits to a place.
 
     First value: changes nearer to his arrival; second value: changes nearer to his departure. Changes at no visit and

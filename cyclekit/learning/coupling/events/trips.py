@@ -27,6 +27,9 @@ EXPLAINED = 0.5
 """Minimum share of the differences between counts of visits that trips to a place explain."""
 MAX_PLACES = 2
 """Maximum number of places of trips."""
+MOST = 0.5
+"""Maximum share of the operator's time that trips take: what he does most of the time is his work, whose visits vary in
+number because several tasks in one stay are one visit."""
 MIN_OWN = 5
 """Minimum number of passages with a trip, and of those without a wait, to compare how long he stays before."""
 ABOUT_S = 0.5
@@ -192,6 +195,20 @@ def parted_courses(
     return found, trips
 
 
+def are_trips(courses: Sequence[ExecutionVisits], trips: Sequence[Mapping[int, Trip]]) -> bool:
+    """Return whether trips are as many as it takes to learn from them, and take no more than MOST of his time.
+
+    Args:
+        courses: Executions without trips.
+        trips: Trips in each of them, by number of the visit.
+    """
+    every = [trip for some in trips for trip in some.values()]
+    away_s = sum(trip.back_s - trip.left_s for trip in every if trip.back_s > trip.left_s)
+    times = [np.array([(one.arrived_s, one.left_s) for one in course.visits["operator"]]) for course in courses]
+    seen_s = sum(float(np.nanmax(each) - np.nanmin(each)) for each in times if np.isfinite(each).any())
+    return len(every) >= MIN_TRIPS and away_s <= MOST * seen_s
+
+
 class _Passage(NamedTuple):
     """A passage of a gate.
 
@@ -309,7 +326,8 @@ def _passages(
 
 def _passed(course: ExecutionVisits, gate: GateCard) -> Iterator[tuple[int, PlaceVisit, int]]:
     """Yield the visits of the operator that end at a gate: number, visit, number of the passage."""
-    visits, occurrence = course.visits["operator"], 0
+    visits = course.visits["operator"]
+    occurrence = int(gate.at == "approach" and bool(visits) and visits[0].place == gate.place)
     for number, (visit, after) in enumerate(pairwise(visits)):
         if (visit if gate.at == "leave" else after).place == gate.place:
             yield number, visit, occurrence

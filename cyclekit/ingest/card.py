@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal
 
 from cyclekit import schema
 from cyclekit.config import Cell
 from cyclekit.dataset.cards import DatasetCard, DynamicsCard, PlaceCard, RowCounts, UnreadCard, checked
+from cyclekit.extras import version
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ def card_of(
     """Return the card, without wait conditions and file checksums."""
     return DatasetCard(
         schema_version=schema.SCHEMA_VERSION,
-        cyclekit_version=version("cyclekit"),
+        cyclekit_version=version(),
         name=cell.name,
         fingerprint=fingerprint,
         pseudonymised=settings.pseudonymise,

@@ -13,7 +13,6 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -38,6 +37,7 @@ from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.dataset.signals import logged_bits
 from cyclekit.derive.passes import Derived, derive
 from cyclekit.errors import ConfigError, DatasetError, EmptyLog, LogError
+from cyclekit.extras import version
 from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
@@ -171,7 +171,7 @@ class _Wanted:
     def fingerprint(self) -> str:
         keys = [log.key for log in self.logs]
         chosen = [*vars(self.settings).values(), self.align_clocks]
-        facts = [repr(self.cell), version("cyclekit"), schema.SCHEMA_VERSION, keys, self.not_read, chosen]
+        facts = [repr(self.cell), version(), schema.SCHEMA_VERSION, keys, self.not_read, chosen]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 

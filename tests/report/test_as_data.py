@@ -36,7 +36,7 @@ def test_the_report_as_csv_adds_up(dataset, tmp_path):
     assert logged["seen"].sum() == dataset.tasks().height
 
 
-def test_the_report_as_markdown_has_every_table_whole(dataset, written, tmp_path):
+def test_the_report_as_markdown_has_every_table_whole(dataset, tmp_path):
     ranked = [estimate("A | first"), estimate("B first", 33.0)]
     facts = compose_report(dataset, DistanceModel(), tmp_path / "r.md", estimates=ranked, kind="md")
     text = facts.path.read_text("utf-8")
@@ -57,7 +57,7 @@ def test_the_report_as_markdown_has_every_table_whole(dataset, written, tmp_path
 @pytest.mark.parametrize("kind", ["json", "md"])
 def test_where_no_picture_is_shown_none_is_drawn(kind, dataset, tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("cyclekit.report.pictures._to_svg", lambda *words: drawn.append(words) or "<svg/>")
+    monkeypatch.setattr("cyclekit.report.pictures.Picture._drawn", lambda *words: drawn.append(words) or "<svg/>")
     compose_report(dataset, DistanceModel(), tmp_path / f"r.{kind}", estimates=[estimate()], kind=kind)
     assert drawn == []
     compose_report(dataset, DistanceModel(), tmp_path / "r.html", estimates=[estimate()])

@@ -209,4 +209,4 @@ def _places(samples: pl.DataFrame, whose: str) -> Points:
 
 
 def _floats(samples: pl.DataFrame, name: str) -> Vector:
-    return np.array(samples[name].cast(pl.Float64).fill_null(np.nan).to_numpy())
+    return np.array(samples[name].cast(pl.Float64).to_numpy())  # null becomes NaN

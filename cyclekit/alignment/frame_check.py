@@ -124,12 +124,19 @@ class ChangeRows:
     def _spread(self, poses: Poses, late: int, *, in_space: bool) -> Vector:
         apart = nearest_m(self.tcp_m[late], self.people_m[late], poses, in_space=in_space)
         kinds = [apart[:, self.kind == one] for one in np.unique(self.kind)]
-        off = [np.abs(mine - np.median(mine, axis=1, keepdims=True)) for mine in kinds]
-        return np.asarray(np.median(np.concatenate(off, axis=1), axis=1))
+        off = [np.abs(mine - _medians(mine)[:, None]) for mine in kinds]
+        return _medians(np.concatenate(off, axis=1))
 
     def some(self, rows: Bools) -> ChangeRows:
         """Return a part of the changes."""
         return ChangeRows.of(self.tcp_m[:, rows], self.people_m[:, rows], self.kind[rows])
+
+
+def _medians(rows: Floats) -> Vector:
+    """Return the median of each row, shape (P,), NaN where one value is; as numpy's, but sorts, which is faster."""
+    ordered, half = np.sort(rows, axis=1), rows.shape[1] // 2
+    middle = ordered[:, half] if rows.shape[1] % 2 else (ordered[:, half - 1] + ordered[:, half]) / 2
+    return np.where(np.isnan(ordered[:, -1]), np.nan, middle)
 
 
 def nearest_m(tcp_m: Floats, people_m: People, poses: Poses, *, in_space: bool = False) -> Floats:

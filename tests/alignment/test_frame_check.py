@@ -83,3 +83,15 @@ def test_few_changes_propose_no_frame():
     few = np.arange(len(changes.kind)) < 40
     part = ChangeRows(changes.tcp_m, seen_from(POSE, changes.people_m), changes.kind).some(few)
     assert propose_frame(LevelRows(rows.tcp_m, people, rows.level), part) is None
+
+
+@pytest.mark.parametrize("each", [8, 9])
+def test_the_spread_is_the_median_deviation_from_the_median_of_each_kind(each: int):
+    rng = np.random.default_rng(each)
+    tcp, people = rng.normal(size=(2, 2 * each, 3)), rng.normal(size=(2, 2 * each, 1, 3))
+    changes = ChangeRows.of(tcp, people, np.arange(2 * each) % 2)
+    apart = np.linalg.norm(people[:, :, 0] - tcp, axis=-1)
+    kinds = np.stack([apart[:, ::2], apart[:, 1::2]])
+    off = np.abs(kinds - np.median(kinds, axis=-1, keepdims=True))
+    expected = np.median(np.concatenate([off[0], off[1]], axis=-1), axis=-1).min()
+    assert changes.spread_m(np.zeros((1, 4)), in_space=True)[0] == pytest.approx(expected, rel=1e-12)

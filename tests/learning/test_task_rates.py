@@ -386,3 +386,15 @@ def test_the_maximum_is_found_in_few_steps(monkeypatch: pytest.MonkeyPatch) -> N
     assert len(steps) < 40
     away = found + 0.05 * np.random.default_rng(1).standard_normal((50, len(found)))
     assert density(found, parts, prior)[0] < min(density(at, parts, prior)[0] for at in away)
+
+
+def test_a_search_goes_on_from_a_known_likelihood_to_the_same_maximum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each part of a repetition is summed up once, not once more for the directions of the next search."""
+    parts = task_parts(runs_of(60, second=0.4, waiting=0.5), *WELD).without({kind for kinds in MORE for kind in kinds})
+    begin = fit.best_at(parts, fit.SPREADS, fit.begin_at(parts), -8.0)
+    spreads, there = {kind: 0.5 * spread for kind, spread in fit.SPREADS.items()}, fit.Quadratic(parts, begin)
+    there.updated(1.0)  # scatter of another fit, which must not matter
+    found, known = fit.best_at(parts, spreads, begin, -1.0), fit.evidence(parts, begin, spreads)
+    monkeypatch.setattr(fit, "Quadratic", None)
+    assert np.array_equal(fit.best_at(parts, spreads, begin, -1.0, there), found)
+    assert fit.evidence(parts, begin, spreads, there) == known

@@ -59,16 +59,23 @@ def begin_at(parts: Parts) -> Vector:
     return np.concatenate([[np.median(log_s), np.log(log_s.std() + 0.05)], np.zeros(len(parts.kinds))])
 
 
-def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: float) -> Vector:
+def best_at(
+    parts: Parts, spreads: Mapping[str, float], begin: Vector, least: float, there: Quadratic | None = None
+) -> Vector:
     """Return mean and log spread of the log work, and all effects, at the maximum of the posterior density.
 
-    The log spread is at least `least`: effects fitted to few repetitions leave too little of it.
+    Args:
+        parts: Repetitions of a task.
+        spreads: Prior standard deviation by kind of effect.
+        begin: Where the search begins.
+        least: Minimum log spread: effects fitted to few repetitions leave too little of it.
+        there: The likelihood around the effects in `begin`, if it is known.
     """
     from scipy.optimize import fmin_l_bfgs_b  # slow to import, and only needed for task lists
 
     prior = np.array([spreads[kind] for kind in parts.kinds])
     begin = np.concatenate([begin[:1], [max(begin[1], least)], begin[2:]])
-    steps = _steps(parts, prior, begin)
+    steps = _steps(Quadratic(parts, begin) if there is None else there, prior, begin)
     free: tuple[float | None, float | None] = (None, None)
     low, high = ((end - begin[1]) / steps[1, 1] for end in (least, MOST_LOG_SPREAD))
     bounds = [free, (low, high), *[free] * len(prior)]
@@ -84,12 +91,12 @@ def best_at(parts: Parts, spreads: Mapping[str, float], begin: Vector, least: fl
     return np.asarray(fmin_l_bfgs_b(_density, begin, args=(parts, prior), bounds=bounds)[0])
 
 
-def _steps(parts: Parts, prior: Vector, at: Vector) -> Floats:
+def _steps(around: Quadratic, prior: Vector, at: Vector) -> Floats:
     """Return directions along which the density curves alike, as columns: a tenth of the evaluations to its maximum."""
-    rest = np.linalg.cholesky(np.linalg.inv(Quadratic(parts, at).hessian(prior)))
+    rest = np.linalg.cholesky(np.linalg.inv(around.hessian(prior, at[1])))
     found = np.zeros((len(at), len(at)))
     found[0, 0], found[2:, 0], found[2:, 2:] = rest[0, 0], rest[1:, 0], rest[1:, 1:]
-    found[1, 1] = 1.0 / np.sqrt(2.0 * len(parts.last))
+    found[1, 1] = 1.0 / np.sqrt(2.0 * around.count)
     return found
 
 
@@ -121,6 +128,7 @@ class Quadratic:
         squares: Sum of the squared residuals of the log work.
         left: Number of repetitions that the effects have not used up.
         scatter: Variance of the log work.
+        count: Number of repetitions.
         most: That without any effect.
     """
 
@@ -132,16 +140,17 @@ class Quadratic:
         slope = np.hstack([np.ones((len(of_rate), 1)), -of_rate, parts.factors])
         off = np.log(work) - at[0] - parts.factors @ at[2 + k :]
         self._squares, self._gram, self.squares = at[2:] ** 2, slope.T @ slope, float(off @ off)
-        self.scatter, self.left = (np.exp(at[1]) + _MIN_SPREAD) ** 2, float(len(off))
+        self.count, self.scatter, self.left = len(off), _scatter(at[1]), float(len(off))
         self.most = float(parts.log_duration.std() + 0.05) ** 2
 
-    def hessian(self, prior: Vector) -> Floats:
+    def hessian(self, prior: Vector, log_spread: float | None = None) -> Floats:
         """Return the Hessian of the negative log posterior density by the mean and the effects.
 
         Args:
             prior: Prior standard deviation of each effect, shape (effects,).
+            log_spread: Log spread of the log work; None: that of `scatter`.
         """
-        found = self._gram / self.scatter
+        found = self._gram / (self.scatter if log_spread is None else _scatter(log_spread))
         diagonal = found.reshape(-1)[:: len(found) + 1]
         diagonal[0] += _FREE
         diagonal[1:] += prior**-2
@@ -160,14 +169,20 @@ class Quadratic:
         return np.asarray(self._squares + variance.reshape(-1)[len(variance) + 1 :: len(variance) + 1])
 
 
-def evidence(parts: Parts, at: Vector, spreads: Mapping[str, float]) -> float:
+def _scatter(log_spread: float) -> float:
+    return float((np.exp(log_spread) + _MIN_SPREAD) ** 2)
+
+
+def evidence(parts: Parts, at: Vector, spreads: Mapping[str, float], there: Quadratic | None = None) -> float:
     """Return the log marginal likelihood of the repetitions by Laplace's approximation, up to a constant.
 
     Args:
         parts: Repetitions of a task.
         at: Mean, log spread and effects at the maximum of the posterior density, shape (2 + effects,).
         spreads: Prior standard deviation by kind of effect.
+        there: The likelihood around `at`, if it is known.
     """
     prior = np.array([spreads[kind] for kind in parts.kinds])
     value, _ = _density(at, parts, prior)
-    return float(-value - np.log(prior).sum() - 0.5 * np.linalg.slogdet(Quadratic(parts, at).hessian(prior))[1])
+    hessian = (Quadratic(parts, at) if there is None else there).hessian(prior, at[1])
+    return float(-value - np.log(prior).sum() - 0.5 * np.linalg.slogdet(hessian)[1])

@@ -89,12 +89,16 @@ class TaskRates:
 
 
 class _Fit(NamedTuple):
-    """Repetitions of one task; mean, log spread and effects; the spread of each kind of effect; the log scatter."""
+    """Repetitions of one task; mean, log spread and effects; the spread of each kind of effect; the log scatter.
+
+    Also the likelihood around these effects, if it is known.
+    """
 
     parts: Parts
     at: Vector
     spreads: Mapping[str, float]
     log_scatter: float
+    there: Quadratic | None = None
 
 
 def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tuple[str, str], TaskRates]:
@@ -108,12 +112,15 @@ def fit_rates(runs: Sequence[Run], pairs: Iterable[tuple[str, str]]) -> dict[tup
     plain = {pair: parts.without({kind for kinds in MORE for kind in kinds}) for pair, parts in every.items()}
     spreads, best = SPREADS, {pair: begin_at(parts) for pair, parts in plain.items()}
     least = dict.fromkeys(every, -8.0)
+    there: dict[tuple[str, str], Quadratic] = {}
     for _ in range(ROUNDS):
-        best = {pair: best_at(parts, spreads, best[pair], least[pair]) for pair, parts in plain.items()}
-        fits = [(parts, best[pair]) for pair, parts in plain.items()]
-        spreads, scatter = _spreads(fits, spreads)
+        best = {
+            pair: best_at(parts, spreads, best[pair], least[pair], there.get(pair)) for pair, parts in plain.items()
+        }
+        there = {pair: Quadratic(parts, best[pair]) for pair, parts in plain.items()}
+        spreads, scatter = _spreads(list(there.values()), spreads)
         least = dict(zip(every, scatter, strict=True))
-    best = {pair: best_at(parts, spreads, best[pair], least[pair]) for pair, parts in plain.items()}
+    best = {pair: best_at(parts, spreads, best[pair], least[pair], there[pair]) for pair, parts in plain.items()}
     return {
         pair: _rates(*_with_more(parts, _Fit(plain[pair], best[pair], spreads, least[pair])))
         for pair, parts in every.items()
@@ -130,7 +137,7 @@ def _with_more(parts: Parts, plain: _Fit) -> tuple[Parts, Vector]:
             more = parts.without(left - set(kinds))
             if len(more.effects) > len(found.parts.effects):
                 fit = _refitted(more, plain)
-                tried.append((evidence(fit.parts, fit.at, fit.spreads) - likely - gain, kinds, fit))
+                tried.append((evidence(fit.parts, fit.at, fit.spreads, fit.there) - likely - gain, kinds, fit))
         # the first of kinds that say the same, as where a task is always at the same position
         best = max(tried, key=lambda each: round(each[0], 3), default=None)
         if best is None or best[0] <= 0.0:
@@ -145,9 +152,9 @@ def _refitted(parts: Parts, plain: _Fit) -> _Fit:
     known = dict(zip(plain.parts.effects, plain.at[2:], strict=True))
     at = np.concatenate([plain.at[:2], [known.get(effect, 0.0) for effect in parts.effects]])
     usual, log_scatter = _of_kinds(plain.spreads), plain.log_scatter
-    now = usual
+    now, task = usual, None
     for _ in range(MORE_ROUNDS):
-        at = best_at(parts, _by_kind(now), at, log_scatter)
+        at = best_at(parts, _by_kind(now), at, log_scatter, task)
         task = Quadratic(parts, at)
         count = SPREADS_LIKE + np.bincount(task.kinds, minlength=len(now))
         for _ in range(STEPS):
@@ -155,19 +162,16 @@ def _refitted(parts: Parts, plain: _Fit) -> _Fit:
             now = np.sqrt((SPREADS_LIKE * usual**2 + total) / count)
             task.updated(float(np.exp(2.0 * plain.log_scatter)))
         log_scatter = 0.5 * float(np.log(task.scatter))
-    return _Fit(parts, at, _by_kind(now), log_scatter)
+    return _Fit(parts, at, _by_kind(now), log_scatter, task)
 
 
-def _spreads(
-    fits: Sequence[tuple[Parts, Vector]], spreads: Mapping[str, float]
-) -> tuple[dict[str, float], list[float]]:
+def _spreads(tasks: Sequence[Quadratic], spreads: Mapping[str, float]) -> tuple[dict[str, float], list[float]]:
     """Return the spread of each kind of effect and the log scatter of each task's work that make the logs most likely.
 
     The effects were fitted to the same repetitions, so the scatter is that of the residuals by the repetitions that are
     left; with few of them, close to that of the other tasks.
     """
-    now, tasks = _of_kinds(spreads), [Quadratic(parts, at) for parts, at in fits]
-    prior = _of_kinds(SPREADS)
+    now, prior = _of_kinds(spreads), _of_kinds(SPREADS)
     count = SPREADS_COUNT + sum(np.bincount(task.kinds, minlength=len(now)) for task in tasks)
     for _ in range(STEPS):
         total = SPREADS_COUNT * prior**2

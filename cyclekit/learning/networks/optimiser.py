@@ -1,15 +1,10 @@
-"""Optimisers: AdamW, or Muon for the square matrices, with a learning rate that rises and falls once.
-
-torch's optimiser classes import its compiler, which takes a second and is not used here; its functions do not.
-"""
+"""Optimisers: AdamW, or Muon for the square matrices, with a learning rate that rises and falls once."""
 
 from __future__ import annotations
 
-from math import cos, pi
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING
 
 import torch
-from torch.optim.adamw import adamw
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -31,101 +26,29 @@ _A, _B, _C = 3.4445, -4.7750, 2.0315
 """Coefficients of the iteration that orthogonalises a matrix (Jordan et al. 2024)."""
 
 
-_BETA2, _EPS = 0.999, 1e-8
-_LEAST, _LESS_LEAST = 25.0, 1e4
-"""Maximum learning rate divided by that at the start, and that by the one at the end."""
-_MOMENTUM_RANGE = (0.95, 0.85)
-"""Momentum of AdamW at the lowest and at the highest learning rate."""
-
-
-class Pace(NamedTuple):
-    """Learning rate and momentum of one step."""
-
-    rate: float
-    momentum: float
-
-
-class Optimiser(Protocol):
-    """Interface of the optimisers here."""
-
-    def step(self, pace: Pace) -> None:
-        """Move the parameters that have a gradient."""
-
-
-class AdamW:
-    """AdamW (Loshchilov and Hutter 2019) by torch's own function."""
-
-    def __init__(self, params: Iterable[nn.Parameter], weight_decay: float) -> None:
-        """Optimise `params`."""
-        self._params: list[torch.Tensor] = list(params)
-        self._decay = weight_decay
-        self._means = [torch.zeros_like(p) for p in self._params]
-        self._squares = [torch.zeros_like(p) for p in self._params]
-        self._taken = [torch.zeros((), dtype=torch.float32, device=p.device) for p in self._params]
-
-    @torch.no_grad()
-    def step(self, pace: Pace) -> None:
-        """Move every parameter that has a gradient."""
-        on = [(at, p, p.grad) for at, p in enumerate(self._params) if p.grad is not None]
-        adamw(
-            [p for _, p, _ in on],
-            [grad for _, _, grad in on],
-            [self._means[at] for at, _, _ in on],
-            [self._squares[at] for at, _, _ in on],
-            [],
-            [self._taken[at] for at, _, _ in on],
-            fused=True,
-            amsgrad=False,
-            beta1=pace.momentum,
-            beta2=_BETA2,
-            lr=pace.rate,
-            weight_decay=self._decay,
-            eps=_EPS,
-            maximize=False,
-        )
-
-
-class Muon:
+class Muon(torch.optim.Optimizer):
     """Muon (Jordan et al. 2024) for square matrices of one size: the step is the orthogonalised momentum.
 
     torch's own processes the matrices one by one in bfloat16, which on a CPU took longer than the gradient. This one
     stacks them in single precision; for three of 64 x 64 a step took an eighth of the time.
     """
 
-    def __init__(self, params: Iterable[nn.Parameter], weight_decay: float) -> None:
+    def __init__(self, params: Iterable[nn.Parameter], lr: float, weight_decay: float) -> None:
         """Optimise `params`, shape (n, n) each."""
-        self._params: list[torch.Tensor] = list(params)
-        self._decay = weight_decay
-        self._mean = torch.zeros_like(torch.stack(self._params))
+        super().__init__(params, {"lr": lr, "weight_decay": weight_decay})
 
     @torch.no_grad()
-    def step(self, pace: Pace) -> None:
+    def step(self, closure: None = None) -> None:  # type: ignore[override]
         """Move every matrix by the rate along its orthogonal step, and towards zero by rate times decay."""
-        gradient = torch.stack([grad for p in self._params if (grad := p.grad) is not None])
-        self._mean.lerp_(gradient, 1 - _MOMENTUM)
-        for p, along in zip(self._params, orthogonal(gradient.lerp(self._mean, _MOMENTUM)), strict=True):
-            p.mul_(1 - pace.rate * self._decay).sub_(along, alpha=pace.rate)
-
-
-def one_cycle(step: int, total: int, most: float, rise: float) -> Pace:
-    """Return the pace of a step: the rate rises and falls once, along cosines (Smith and Topin 2018).
-
-    Args:
-        step: Number of steps before it.
-        total: Number of steps of the run.
-        most: Maximum learning rate.
-        rise: Share of the run in which the rate rises.
-    """
-    begin, top = most / _LEAST, rise * total - 1
-    least, fast = _MOMENTUM_RANGE
-    if step <= top and top > 0:
-        return Pace(_between(begin, most, step / top), _between(least, fast, step / top))
-    part = (step - top) / (total - 1 - top)
-    return Pace(_between(most, begin / _LESS_LEAST, part), _between(fast, least, part))
-
-
-def _between(start: float, end: float, part: float) -> float:
-    return end + (start - end) / 2.0 * (cos(pi * part) + 1)
+        del closure
+        for group in self.param_groups:
+            params = group["params"]
+            gradient = torch.stack([p.grad for p in params])
+            state = self.state[params[0]]
+            mean = state.setdefault("mean", torch.zeros_like(gradient))
+            mean.lerp_(gradient, 1 - _MOMENTUM)
+            for p, along in zip(params, orthogonal(gradient.lerp(mean, _MOMENTUM)), strict=True):
+                p.mul_(1 - group["lr"] * group["weight_decay"]).sub_(along, alpha=group["lr"])
 
 
 def orthogonal(stack: torch.Tensor) -> torch.Tensor:
@@ -149,20 +72,28 @@ class Steps:
         mine = {id(p) for p in square}
         rest = [p for p in network.parameters() if id(p) not in mine]
         rate = spec.learning_rate * (_FASTER if square else 1.0)
-        self._optimisers: list[tuple[Optimiser, float]] = [(AdamW(rest, decay), rate)]
+        parts: list[tuple[torch.optim.Optimizer, float]] = [
+            (torch.optim.AdamW(rest, lr=rate, weight_decay=decay, fused=True), rate)
+        ]
         if square:
-            self._optimisers.append((Muon(square, decay * rate / _MUON_RATE), _MUON_RATE))
-        self._params = list(network.parameters())
-        self._shortened = self._params if spec.kind.lstm_layers else []
-        self._step, self._total, self._rise = 0, total, _RISE[bool(square)]
+            muon = Muon(square, lr=_MUON_RATE, weight_decay=decay * rate / _MUON_RATE)
+            parts.append((muon, _MUON_RATE))
+        self._shortened = list(network.parameters()) if spec.kind.lstm_layers else []
+        self._optimisers = [optimiser for optimiser, _ in parts]
+        self._schedules = [
+            torch.optim.lr_scheduler.OneCycleLR(
+                optimiser, most, total, pct_start=_RISE[bool(square)], cycle_momentum=most == rate
+            )
+            for optimiser, most in parts
+        ]
 
     def take(self, loss: torch.Tensor) -> None:
         """Take one step down the gradient of `loss`."""
-        for p in self._params:
-            p.grad = None
+        for optimiser in self._optimisers:
+            optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         if self._shortened:
             torch.nn.utils.clip_grad_norm_(self._shortened, MAX_NORM)
-        for optimiser, most in self._optimisers:
-            optimiser.step(one_cycle(self._step, self._total, most, self._rise))
-        self._step += 1
+        for optimiser, schedule in zip(self._optimisers, self._schedules, strict=True):
+            optimiser.step()
+            schedule.step()

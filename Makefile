@@ -13,8 +13,8 @@ PIP_FLAGS ?=
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 # A file's tests run in one process, so that what they share is made once. Files go in the order of tests/conftest.py:
-# those of one folder far from each other, the short ones last. Every process has one thread, as there is one process a core. Compiled
-# sources are kept: the tests start many processes, and each would compile all of cyclekit again.
+# those of one folder far from each other, the short ones last. Every process has one thread, as there is one process a
+# core. Compiled sources are kept: the tests start many processes, and each would compile all of cyclekit again.
 PYTEST := PYTHONDONTWRITEBYTECODE= POLARS_MAX_THREADS=1 OMP_NUM_THREADS=1 \
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))

@@ -24,7 +24,7 @@ from cyclekit.learning.signal_inputs import left_out
 from cyclekit.learning.windows import nobody_there
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
@@ -144,20 +144,29 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
     return found
 
 
-def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
-    """Return the limits of every number from these logs, one sentence each."""
+def limits_of_logs(dataset: Dataset, model: SafetyModel, used: Collection[str] | None = None) -> list[str]:
+    """Return the limits of every number from these logs, one sentence each.
+
+    Args:
+        dataset: Dataset of the logs.
+        model: Safety function.
+        used: The executions from which the operator is drawn; None: all, those without an operator included.
+    """
     found = list(model.limits) if isinstance(model, OnStates) else []
     if model.card.operator_signals or not isinstance(model, OnStates):
         found += left_out(model.card, dataset)
     samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
     found += height_notes(samples)
-    absent = samples.filter(nobody_there()).height / max(samples.height, 1)
+    drawn = samples if used is None else samples.filter(pl.col("execution").is_in(list(used)))
+    absent = drawn.filter(nobody_there()).height / max(drawn.height, 1)
     if absent > 0.01 and not isinstance(model, OnStates) and model.card.scaling_without_operator is None:
         found.append(f"in {absent:.0%} of the samples there is no operator: full speed assumed")
     ran = {one.execution for one in dataset.card.executions if one.whole and not one.reference}
     away = samples.group_by("execution").agg(away=(pl.col("human_gap") == "absent").fill_null(value=False).all())
     alone = ran & set(away.filter("away")["execution"].to_list())
-    if alone:
+    if alone and used is not None:
+        found.append(f"in {len(alone)} of {len(ran)} executions no operator was seen: they are not used")
+    elif alone:
         counted = (
             f"in {len(alone)} of {len(ran)} executions no operator was seen: they count as cycles without an operator"
         )
@@ -187,7 +196,7 @@ REFUSED_BIAS = 0.1
 
 
 _OWN = (
-    "It was trained on them, so it does not see what slows the robot: look at clocks, frames and unknown causes in "
+    "It was trained on them, so it does not see what slows the robot: {look} clocks, frames and unknown causes in "
     "cyclekit inspect DATASET; if the tracker's clock may be off by seconds, ingest with --align-clocks coarse"
 )
 
@@ -212,6 +221,6 @@ def refuse_biased(check: Check | None, *, own: bool = False) -> None:
         seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) on {check.executions} logged executions"
         raise ModelError(
             f"the model does not fit these logs: backtested with their own operators, its bias is {seen}",
-            cure=(_OWN if own else "Train it on them: cyclekit train DATASET --out MODEL")
+            cure=(_OWN.format(look=check.look_at) if own else "Train it on them: cyclekit train DATASET --out MODEL")
             + "; or add --other-cell to estimate anyway (from Python other_cell=True).",
         )

@@ -241,3 +241,14 @@ def test_the_estimate_says_how_many_cycles_had_no_operator(hand_made: Any, meant
     model: Any = SimpleNamespace(card=TrainingCard(scaling_without_operator=1.0))
     said = [each for each in limits_of_logs(found, model) if "no operator was seen" in each]
     assert [each.partition(":")[0] for each in said] == ([] if meant else ["in 1 of 2 executions no operator was seen"])
+
+
+def test_an_estimate_of_both_agents_uses_no_execution_without_an_operator(hand_made: Any):
+    found = one_who_stays_away(hand_made)
+    model: Any = SimpleNamespace(card=TrainingCard(scaling_without_operator=None))
+    both = [one.execution for one in found.card.executions if one.execution.startswith("there")]
+    everyone = limits_of_logs(found, model)
+    assert [each for each in everyone if "full speed assumed" in each]
+    said = limits_of_logs(found, model, both)
+    assert [each for each in said if "full speed assumed" in each] == []
+    assert "in 1 of 2 executions no operator was seen: they are not used" in said

@@ -13,6 +13,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import BadCard, CellCard, TrainingCard, checked, dataset_card, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
+from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.limits import refuse_biased
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
@@ -145,6 +146,11 @@ def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_
     assert "It was trained on them" in str(own.value.cure)
     assert "--align-clocks coarse" in str(own.value.cure)
     assert "cyclekit train" not in str(own.value.cure)
+    assert "[[waits]]" not in str(own.value.cure)
+    with pytest.raises(ModelError) as coupled:
+        refuse_biased(JointCheck(**vars(BIASED)), own=True)
+    assert "the robot: log the buttons, bits and sensors that end waits" in str(coupled.value.cure)
+    assert "also look at clocks" in str(coupled.value.cure)
     refuse_biased(replace(BIASED, own_error=0.07))  # chance
     warned = replace(BIASED, own_bias=0.05)
     refuse_biased(warned)

@@ -110,7 +110,7 @@ def estimate_both(
     if not other_cell:
         refuse_biased(judged, own=trained_on(ask.model.card, dataset))
     found = answers.found(sequences, judged, refuse, tell)
-    limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model)]
+    limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model, cell.logged or None)]
     unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()
     pace = () if cell.coupling is None or cell.coupling.pace is None else (cell.coupling.pace,)
     paced = [one.said for one in pace]

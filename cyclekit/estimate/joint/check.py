@@ -87,6 +87,14 @@ class JointCheck(Check):
         return float(np.hypot(super().model_error, self.by_order))
 
     @property
+    def look_at(self) -> str:
+        """Where to look for the cause of a bias first: what ends the waits is the usual one."""
+        return (
+            "log the buttons, bits and sensors that end waits of robot and operator, or give these waits in [[waits]] "
+            "of the cell file; also look at"
+        )
+
+    @property
     def with_own(self) -> str:
         """What the executions were rolled out with to find the bias."""
         return "their own orders of robot and operator"

@@ -115,6 +115,11 @@ class Check:
     level: LogLevel | None = None
 
     @property
+    def look_at(self) -> str:
+        """Where to look for the cause of a bias first: the first words of a sentence on it."""
+        return "look at"
+
+    @property
     def phases(self) -> int | None:
         """Entries per track (`operator_tracks`): 1 if logged tracks are used as they are, else None."""
         return 1 if self.operator is not None and self.operator.as_logged else None

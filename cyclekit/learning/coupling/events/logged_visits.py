@@ -36,6 +36,8 @@ WITHIN, MIN_VISITS = 0.95, 10
 """Minimum share of the visits to a place in which a signal is cleared and then set; fewer visits tell nothing."""
 COPY_S = 0.15
 """Maximum time, s, between a change of the robot's input or output and that of its copy in a PLC's log."""
+SAMPLED = 0.5
+"""Maximum range of the intervals between the rows of a sampled state, as a share of their median."""
 _STATES = (("set", "1"), ("cleared", "0"))
 
 
@@ -198,7 +200,7 @@ def _signals(recordings: Sequence[RecordingCard], session: str, read: Read) -> d
             name, at = str(signal), rows["t_s"].to_numpy() * record.clock.rate + record.clock.offset_s
             if any(word in name for word in NOT_WAITED_FOR):
                 continue
-            rises, falls = _edges(both[name][1]) if name in both else (np.ones(len(at), bool), np.zeros(len(at), bool))
+            rises, falls = presses(at, both[name][1] if name in both else None)
             found |= {(name, "set"): at[rises], (name, "cleared"): at[falls]}
     return found
 
@@ -251,6 +253,23 @@ def _apart(times: Vector, others: Vector) -> Vector:
         return np.full(len(times), np.inf)
     after = np.clip(np.searchsorted(others, times), 1, max(len(others) - 1, 1))
     return np.asarray(np.minimum(np.abs(times - others[after - 1]), np.abs(times - others[after % len(others)])))
+
+
+def presses(at: Vector, on: Bools | None) -> tuple[Bools, Bools]:
+    """Return which rows of a signal set and which clear it.
+
+    Every row of a signal without two states sets it; so does that of one which is only ever on, as some logs hold the
+    presses of a button and not its releases. If all rows are as far from each other, they are samples of its state.
+
+    Args:
+        at: Time of each row, shape (N,), s.
+        on: Whether it is on from each row, shape (N,); None: it has no two states.
+    """
+    between_s = np.diff(at)
+    sampled = len(between_s) > 1 and bool(np.ptp(between_s) <= SAMPLED * np.median(between_s))
+    if on is None or (on.all() and not sampled):
+        return np.ones(len(at), np.bool_), np.zeros(len(at), np.bool_)
+    return _edges(on)
 
 
 def _edges(on: Bools) -> tuple[Bools, Bools]:

@@ -188,10 +188,12 @@ def test_a_place_that_does_not_exist_is_refused_with_the_nearest(logged: Dataset
     assert "sequence 'A'" in caught.value.seen
 
 
-def test_a_task_that_was_never_logged_is_refused_with_those_that_were(logged: Dataset, staircase: Any):
+def test_a_task_that_was_never_logged_is_refused_with_the_place_between(logged: Dataset, staircase: Any):
     with pytest.raises(EstimateError, match=r"task 'home->left_1' was never logged") as caught:
         estimate(staircase, logged, [TaskSequence("A", ("home", "left_1", "conveyor"))])
-    assert caught.value.cure == "Use tasks that were: home->conveyor."
+    assert caught.value.cure is not None
+    assert "from home to left_1 by conveyor" in caught.value.cure
+    assert "name conveyor between them" in caught.value.cure
 
 
 def test_a_model_of_another_problem_is_refused(logged: Dataset, constant: Any):

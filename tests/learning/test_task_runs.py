@@ -10,6 +10,7 @@ import pytest
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import DatasetError
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.ingest.ingest import ingest
@@ -18,6 +19,17 @@ from cyclekit.learning.task_times.runs import logged_runs
 
 TASKS = (("arm", "to fixture"), ("arm", "weld"), ("worker", "weld"))
 Row = tuple[int, str, str, float, float, int]
+
+
+def test_names_that_differ_in_every_execution_are_refused(tmp_path: Path) -> None:
+    lines = ["run,agent,task,start_s,end_s"]
+    for n in range(6):
+        for agent, took in (("arm", 4), ("human", 5)):
+            lines.append(f"r{n},{agent},pick_{n},{20 * n},{20 * n + took}")
+    (tmp_path / "tasks.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
+    with pytest.raises(DatasetError, match="each has names of its own, such as 'pick_0'"):
+        learn_task_times(Dataset.open(tmp_path / "dataset"))
 
 
 def test_names_that_differ_only_in_case_and_spaces_are_of_one_task(tmp_path: Path) -> None:

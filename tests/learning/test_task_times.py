@@ -236,17 +236,6 @@ def _end(work: float, since: float, until: float, rate: float) -> float:
     return t + left
 
 
-def test_names_that_differ_in_every_execution_are_refused(tmp_path) -> None:
-    lines = ["run,agent,task,start_s,end_s"]
-    for n in range(6):
-        for agent, took in (("arm", 4), ("human", 5)):
-            lines.append(f"r{n},{agent},pick_{n},{20 * n},{20 * n + took}")
-    (tmp_path / "tasks.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
-    with pytest.raises(DatasetError, match="each has names of its own, such as 'pick_0'"):
-        learn_task_times(Dataset.open(tmp_path / "dataset"))
-
-
 def test_few_executions_are_refused(tmp_path) -> None:
     simulate_task_lists(tmp_path / "logs", executions=3, seed=1)
     ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "dataset")

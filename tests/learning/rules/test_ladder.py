@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cyclekit.dataset.cards.rule import LimitCard, RegionCard, RuleCard
+from cyclekit.dataset.cards.rule import RegionCard
 from cyclekit.learning.rules.cuts import LimitRows
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.families.robot import ROBOT
-from cyclekit.learning.rules.ladder import RuleSearch, find_rule
-from cyclekit.learning.rules.of_dataset import with_partial_latency
+from cyclekit.learning.rules.ladder import find_rule
 from cyclekit.learning.rules.polygons import polygons
 from cyclekit.learning.rules.samples.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.samples.positions import Positions
@@ -194,31 +193,6 @@ def test_a_rectangle_that_slows_like_a_distance_with_hysteresis_is_told_apart_fr
     assert at_m == pytest.approx([1.2, 1.4], abs=0.02)
     edges = (*half.within.rectangles[0].along, *half.within.rectangles[0].across)
     assert [edge.value for edge in edges if edge is not None] == pytest.approx(FAR_BOX_M.ravel().tolist(), abs=0.05)
-
-
-@pytest.mark.parametrize(("of_hysteresis_s", "chosen_s"), [(0.1, 0.1), (None, 0.3)])
-def test_a_part_of_the_latency_is_taken_where_a_rule_with_hysteresis_explains_more_then(
-    of_hysteresis_s: float | None, chosen_s: float
-) -> None:
-    kind = f"{TO_TCP}, with hysteresis" if of_hysteresis_s is not None else TO_TCP
-
-    def search(latency_s: float, *, kinds: Any) -> RuleSearch:
-        assert TO_TCP in kinds
-        explained = 0.99 - (latency_s - (of_hysteresis_s or 0.0)) ** 2
-        limits = (LimitCard(scaling=0.5, within=RegionCard(anywhere=True)),)
-        shown: dict[str, Any] = {
-            "limits": limits,
-            "explained": explained,
-            "network": None,
-            "rows": 100,
-            "executions": 5,
-        }
-        rule = RuleCard(family=TO_TCP, hysteresis=kind != TO_TCP, levels=LEVELS, latency_s=latency_s, **shown)
-        return RuleSearch(rule, {kind: explained})
-
-    late = RuleSearch(None, {kind: 0.95})
-    found = with_partial_latency(search, 0.3, late, RuleSearch(None, {kind: 0.94}))
-    assert (0.3 if found.rule is None else found.rule.latency_s) == pytest.approx(chosen_s, abs=0.03)
 
 
 POLYGON_M = np.array([(-0.6, -0.7), (0.9, -0.9), (1.6, 0.1), (0.7, 0.9), (-0.5, 0.5)])

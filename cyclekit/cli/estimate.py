@@ -41,7 +41,7 @@ IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
 DOUBT_MARK = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
-PLAN_RESTS = "rest: the robot waited on its way to the place"
+PLAN_RESTS = "continued: the robot waited on its way to the place"
 PLAN_SHARES = "in brackets: in which share of the cycles it came last"
 MIN_WAIT_S = 0.05
 """Minimum wait between two tasks, s, whose cause is printed."""

@@ -90,7 +90,7 @@ class PlannedShare:
     @property
     def shown(self) -> str:
         """The task in a table: the rest of one is marked."""
-        return f"{self.task}, rest" if self.rest else self.task
+        return f"{self.task}, continued" if self.rest else self.task
 
     @property
     def ended_by(self) -> tuple[str, float] | None:

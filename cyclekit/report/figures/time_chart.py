@@ -57,7 +57,7 @@ _WORDS = {
     "band": "End in single cycles, s",
     "wait": "Wait before it, s",
     "ended": "Wait ended by",
-    "rest": "{task}, rest",
+    "rest": "{task}, continued",
     "ended_in": "{cause} (in {share} of the cycles)",
 }
 

@@ -6,12 +6,19 @@ from collections.abc import Sequence
 from functools import partial
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import Sequences, estimator_model, path_of, place_of, sequences_of
+from cyclekit.api.given import (
+    Sequences,
+    estimator_model,
+    path_of,
+    place_of,
+    refuse_options_of_positions,
+    sequences_of,
+)
 from cyclekit.api.workbooks import need_workbook, sheets_of_estimates
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import Kind, check_output
-from cyclekit.errors import CyclekitError, EstimateError, ModelError
+from cyclekit.errors import CyclekitError, EstimateError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.gantt import write_gantt
 from cyclekit.estimate.robot.safety import SafetyModel
@@ -92,9 +99,14 @@ def estimate_cycles(
 
     logs = Dataset.of(dataset)
     if isinstance(opened, TaskTimesModel):
-        if estimator is not None:
-            msg = f"estimator {estimator!r}: a model of task times has one way to an estimate"
-            raise ModelError(msg, cure="Leave --estimator out.")
+        refuse_options_of_positions(
+            estimator=estimator is not None,
+            extrapolate=extrapolate,
+            validate=not validate,
+            check=check is not None,
+            other_cell=other_cell,
+            engine=not engine.stays_here(len(wanted)),
+        )
         found = estimate_plans(
             opened.card, wanted, quantiles=quantiles, takt_s=takt_s, seed=seed, refused=refuse, progress=progress
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 from cyclekit.api.arguments import Place
 from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.errors import ConfigError, ModelError, UnknownName
 from cyclekit.estimate.plan.jobs import Jobs, load_jobs
 from cyclekit.estimate.plan.task_orders import TaskJobs, load_task_jobs
 from cyclekit.estimate.robot.safety import SafetyModel
@@ -44,6 +44,21 @@ def times_of(given: object) -> TaskTimesModel | None:
     if isinstance(given, str | Path) and holds_task_times(given):
         return load_task_times(given)
     return given if isinstance(given, TaskTimesModel) else None
+
+
+def refuse_options_of_positions(**chosen: bool) -> None:
+    """Refuse the options that a model of task times cannot honour.
+
+    Args:
+        chosen: Whether the caller chose a value other than the default, by option.
+
+    Raises:
+        ModelError: Some were chosen.
+    """
+    if names := [name for name, differs in chosen.items() if differs]:
+        seen = f"{', '.join(names)}: not for a model of task times"
+        why = "It has one way to an estimate, was validated when it was trained, and knows no positions and no cell"
+        raise ModelError(seen, cure=f"{why}: leave {'it' if len(names) == 1 else 'them'} out.")
 
 
 def trained_of(given: TrainedModel | Place) -> TrainedModel:

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import estimator_model, jobs_of, path_of, place_of, task_jobs_of
+from cyclekit.api.given import (
+    estimator_model,
+    jobs_of,
+    path_of,
+    place_of,
+    refuse_options_of_positions,
+    task_jobs_of,
+)
 from cyclekit.api.workbooks import need_workbook, sheets_of_plan
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import Dataset
@@ -60,6 +67,7 @@ def plan_order(
     need_workbook(file)
     opened, logs = estimator_model(model), Dataset.of(dataset)
     if isinstance(opened, TaskTimesModel):
+        refuse_options_of_positions(validate=not validate, check=check is not None, other_cell=other_cell)
         if as_book:
             seen = f"{file}: the order of both agents' tasks is written as a sequence file, not as a workbook"
             raise ConfigError(seen, cure="Give a file that ends in .toml.")

@@ -13,6 +13,7 @@ from cyclekit.api.given import (
     Sequences,
     place_of,
     refuse_baseline,
+    refuse_options_of_positions,
     sequences_of,
     times_of,
     trained_of,
@@ -153,6 +154,9 @@ def write_report(
     looks: _Looks = {"takt_s": takt_s, "baseline": baseline, "template": folder, "cell_name": cell_name}
     times = times_of(model)
     if times is not None or (model is None and data.holds_task_lists_alone):
+        if times is not None:
+            chosen_options = {"extrapolate": extrapolate, "validate": not validate, "other_cell": other_cell}
+            refuse_options_of_positions(**chosen_options, what_if=bool(tried), evaluation=evaluation is not None)
         parts: TaskPageContent = (
             {} if times is None else of_tasks(times, data, sequences, changes, jobs, takt_s, estimates)
         )

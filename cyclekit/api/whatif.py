@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import Changes, Sequences, changes_of, estimator_model, path_of, place_of, sequences_of
+from cyclekit.api.given import (
+    Changes,
+    Sequences,
+    changes_of,
+    estimator_model,
+    path_of,
+    place_of,
+    refuse_options_of_positions,
+    sequences_of,
+)
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
@@ -91,13 +99,32 @@ def changed_cycles(
     changed: Sequence[Change],
     *,
     seed: int = 0,
-    **given: Any,  # noqa: ANN401  # the other options of `what_if`
+    extrapolate: bool = False,
+    validate: bool = True,
+    check: Check | None = None,
+    other_cell: bool = False,
+    progress: Progress | None = None,
 ) -> WhatIfAnswers:
     """Return the answers of `what_if`, also if there are none."""
     refused: list[Refusal] = []
     refuse = partial(refusing, refused)
     if isinstance(model, TaskTimesModel):
-        found = what_if_tasks(model.card, wanted, changed, seed=seed, refused=refuse)
+        refuse_options_of_positions(
+            extrapolate=extrapolate, validate=not validate, check=check is not None, other_cell=other_cell
+        )
+        found = what_if_tasks(model.card, wanted, changed, seed=seed, refused=refuse, progress=progress)
     else:
-        found = compare(model, logs, wanted, changed, seed=seed, refused=refuse, **given)
+        found = compare(
+            model,
+            logs,
+            wanted,
+            changed,
+            seed=seed,
+            extrapolate=extrapolate,
+            validate=validate,
+            check=check,
+            other_cell=other_cell,
+            refused=refuse,
+            progress=progress,
+        )
     return WhatIfAnswers(tuple(found), tuple(refused))

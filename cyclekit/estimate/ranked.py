@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.estimate.cycles import MANY
 from cyclekit.estimate.statistics.resample import means_below
@@ -16,17 +16,25 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 
-def ranked(found: Sequence[CycleEstimate], means: Sequence[Vector], last: Sequence[bool]) -> list[CycleEstimate]:
-    """Return estimates in order, each with the probability that it is shorter than each other one of the same work.
+class Unranked(NamedTuple):
+    """One estimate before it is ranked.
 
-    Args:
-        found: The estimates.
-        means: The mean of each in each resample of the logs, shape (resamples,), s.
-        last: Which estimates are too coarse to rank before the others, and come last.
+    Attributes:
+        entry: The estimate.
+        means_s: Its mean in each resample of the logs, shape (resamples,), s.
+        last: Whether it is too coarse to rank before the others, and comes last.
     """
-    order = sorted(range(len(found)), key=lambda i: (last[i], found[i].expected_s, found[i].name))
-    alike = by_work([found[i] for i in order])
-    mean_of = {entry.name: mean for entry, mean in zip(found, means, strict=True)}
+
+    entry: CycleEstimate
+    means_s: Vector
+    last: bool = False
+
+
+def ranked(found: Sequence[Unranked]) -> list[CycleEstimate]:
+    """Return estimates in order, each with the probability that it is shorter than each other one of the same work."""
+    order = sorted(found, key=lambda one: (one.last, one.entry.expected_s, one.entry.name))
+    alike = by_work([one.entry for one in order])
+    mean_of = {one.entry.name: one.means_s for one in found}
     return [entry for work in alike.values() for entry in _of_one_work(work, mean_of)]
 
 

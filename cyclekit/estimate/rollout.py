@@ -30,7 +30,7 @@ from cyclekit.estimate.limits import (
     with_work,
 )
 from cyclekit.estimate.operator.tracks import OperatorTracks
-from cyclekit.estimate.ranked import ranked
+from cyclekit.estimate.ranked import Unranked, ranked
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.robot.program import Program, lay_out
 from cyclekit.estimate.robot.safety import OnStates
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.estimate.validation.check import Check
-    from cyclekit.schema import Floats, Progress, Vector
+    from cyclekit.schema import Floats, Progress
 
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
@@ -97,38 +97,44 @@ def estimate(
         UnknownName: A place or the estimator does not exist.
         EstimateError: A task was never logged, there is no operator track, or the support is too low.
     """
-    tell = progress or (lambda fraction, text: None)
     dataset.require_positions()
     chosen = _chosen(model, estimator)
     model = on_states_of(model, dataset)
     if ESTIMATORS[chosen].needs is not None:
         refuse_other_cell(model.card, dataset, other_cell=other_cell)
-    if both := [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model, altered))]:
-        ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
-        others = [each for each in sequences if each not in both]
+    ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
+    both = [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model, altered))]
+    others = [each for each in sequences if each not in both]
+    found, done = list[Unranked](), 0
+    for estimated, some in ((estimate_both, both), (_estimate_robot, others)):
 
-        def tell_first(fraction: float, text: str) -> None:
-            tell(fraction * len(both) / len(sequences), text)
+        def tell(fraction: float, text: str, first: int = done, count: int = len(some)) -> None:
+            if progress is not None:
+                progress((first + fraction * count) / len(sequences), text)
 
-        def tell_rest(fraction: float, text: str) -> None:
-            tell((fraction * len(others) + len(both)) / len(sequences), text)
+        if some:
+            found += estimated(
+                ask, some, validate=validate, other_cell=other_cell, refuse=refused or _raised, tell=tell
+            )
+        done += len(some)
+    return ranked(found)
 
-        of_both = estimate_both(
-            ask, both, validate=validate, other_cell=other_cell, refuse=refused or _raised, tell=tell_first
-        )
-        if not others:
-            return of_both
-        of_robot = estimate(
-            model, dataset, others, quantiles=quantiles, takt_s=takt_s, seed=seed, extrapolate=extrapolate,
-            validate=validate, check=check, other_cell=other_cell, altered=altered, engine=engine, refused=refused,
-            progress=tell_rest,
-        )  # fmt: skip
-        return [*of_both, *of_robot]
-    dataset, left_out = in_memory(dataset)
+
+def _estimate_robot(
+    ask: Question,
+    sequences: Sequence[TaskSequence],
+    *,
+    validate: bool,
+    other_cell: bool,
+    refuse: _Refuse,
+    tell: Progress,
+) -> list[Unranked]:
+    """Return estimates of the robot alone, beside logged operators; the arguments are those of `estimate_both`."""
+    model, altered, chosen, check = ask.model, ask.altered, ask.estimator, ask.check
+    dataset, left_out = in_memory(ask.dataset)
     wanted = None if altered else {task for sequence in sequences for task in sequence.tasks}
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset, wanted)
     nominal = altered.tasks(nominal) if altered else nominal
-    refuse = refused or _raised
     programs = _laid_out(sequences, nominal, dataset, refuse)
     if not programs:
         return []
@@ -138,18 +144,16 @@ def estimate(
     if chosen != "rollout":
         check = None
     elif check is None and validate and altered is None:
-        check, unknown = validated(model, dataset, levels=quantiles, seed=seed)
+        check, unknown = validated(model, dataset, levels=ask.quantiles, seed=ask.seed)
     if not other_cell:
         refuse_biased(check, own=trained_on(model.card, dataset))
-    ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
+    ask = replace(ask, dataset=dataset, check=check)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     if check and check.operator and check.operator.said:
         limits.append(check.operator.said)
     unseen = model.doubts if chosen == "rollout" and isinstance(model, OnStates) else ()
     effect, visits = order_effect_for(ask), visit_effect_for(ask)
-    found: list[CycleEstimate] = []
-    means: list[Vector] = []
-    looked_up: list[bool] = []
+    found: list[Unranked] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
         some = {sequence: program for sequence, program in programs.items() if sequence.operator == operator}
         mine, rolled, tracks = _answered(ask, some, tell, refuse)
@@ -166,11 +170,10 @@ def estimate(
             entry, of_other_work, of_work = with_work(entry, tasks)
             doubts = (*unseen, *of_other_work, *doubts_of(cycles, entry, check), *unknown)
             mine_alone = (*of_work, *limits_of_cycles(cycles, entry))
-            found.append(replace(entry, doubts=doubts, warnings=(*doubts, *mine_alone, *limits)))
-            means.append(mean.resampled_s)
-            looked_up.append(not cycles.simulated)
+            entry = replace(entry, doubts=doubts, warnings=(*doubts, *mine_alone, *limits))
+            found.append(Unranked(entry, mean.resampled_s, last=not cycles.simulated))
     tell(1.0, "done")
-    return ranked(found, means, looked_up)
+    return found
 
 
 def _chosen(model: SafetyModel, estimator: str | None) -> str:

@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import bdtrc, ndtri, stdtrit
+from scipy.special import ndtri, stdtrit
 
 from cyclekit.errors import CyclekitError, EstimateError
 from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, TaskShare
-from cyclekit.estimate.statistics.conformal import conformal
+from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, conformal, most_outside
 from cyclekit.estimate.statistics.resample import Z95, least_wide
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row, planned_starts_not_kept
@@ -222,8 +222,6 @@ def _single(durations: Vector, judged: HeldOutCard | None, pace_error: float) ->
 def _expected_too(deviations: Vector, rolled: Vector) -> Vector:
     """Return held-out deviations with PRIOR evenly spread ones of the rollout; alone, if they scatter more than that.
 
-    Few executions tell the outer quantiles badly: of sixty, three lie below the 5 % quantile.
-
     Args:
         deviations: Deviations of held-out executions, in standard deviations of their rollouts, shape (N,).
         rolled: The same of rolled-out cycles, shape (cycles,).
@@ -232,11 +230,6 @@ def _expected_too(deviations: Vector, rolled: Vector) -> Vector:
     if np.count_nonzero((deviations < low) | (deviations > high)) > most_outside(len(deviations)):
         return deviations
     return np.concatenate([deviations, np.quantile(rolled, (np.arange(PRIOR) + 0.5) / PRIOR)])
-
-
-def most_outside(count: int) -> int:
-    """Return how many of so many executions may be outside the outer parts of rolled-out cycles by chance."""
-    return int(np.argmax(bdtrc(np.arange(count + 1), count, 2.0 * OUTSIDE) < CHANCE))
 
 
 def widening(judged: HeldOutCard | None) -> float:
@@ -252,11 +245,6 @@ def widening(judged: HeldOutCard | None) -> float:
 
 
 LEVELS = np.linspace(0.0, 1.0, 41)
-PRIOR = 60
-"""Number of held-out executions that count as much as the rolled-out cycles themselves in how single cycles scatter."""
-OUTSIDE, CHANCE = 0.05, 0.05
-"""If more held-out executions than chance explains (second value) are outside these outer parts of rolled-out cycles,
-only the held-out executions count."""
 MIN_ORDERS = 3
 """Minimum number of held-out orders to widen the spread of single cycles."""
 

@@ -151,7 +151,7 @@ def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path:
     assert "Use it for plans of robot and operator: cyclekit estimate" in refused.err
     other = cyclekit("estimate", model, file, "--dataset", dataset, "--estimator", "history")
     assert other.code == 1
-    assert "a model of task times has one way to an estimate" in other.err
+    assert "estimator: not for a model of task times" in other.err
     assert cyclekit("estimate", model, file, "--dataset", tmp_path / "nowhere").code == 1
     assert cyclekit("train", dataset, "--out", model, "--seeds", "1,2").code == 2
     file.write_text('[[sequence]]\n[[sequence.task]]\nagent = "robt"\nname = "bring"\n', encoding="utf-8")

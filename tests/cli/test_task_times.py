@@ -76,3 +76,25 @@ def test_places_are_refused_with_an_example(cyclekit, listed: Path, tmp_path: Pa
     assert done.code != 0
     assert "no [[task]] in it" in done.err
     assert "[[task]]\n" in done.err
+
+
+@pytest.mark.usefixtures("words_only")
+def test_options_that_a_model_of_task_times_cannot_honour_are_refused(cyclekit, listed: Path, tmp_path: Path) -> None:
+    plan, jobs, changes = tmp_path / "plan.toml", tmp_path / "jobs.toml", tmp_path / "changes.toml"
+    plan.write_text('[[sequence]]\nname = "A"\n[[sequence.task]]\nagent = "robot"\nname = "bring"\n', encoding="utf-8")
+    jobs.write_text('[[task]]\nagent = "robot"\nname = "bring"\n', encoding="utf-8")
+    changes.write_text('[[change]]\nname = "quicker"\nfaster = { robot = 1.1 }\n', encoding="utf-8")
+    model, data = listed / "model", ("--dataset", listed / "dataset")
+    asked = ("--no-check", "--other-cell")
+    page = ("--model", model, "--sequences", plan, "--out", tmp_path / "page.md")
+    commands = {
+        "estimate": ("estimate", model, plan, *data, "--extrapolate"),
+        "plan": ("plan", model, jobs, *data),
+        "whatif": ("whatif", model, plan, changes, *data, "--extrapolate"),
+        "report": ("report", data[1], *page, "--extrapolate"),
+    }
+    for name, words in commands.items():
+        done = cyclekit(*words, *asked)
+        assert done.code == 1, name
+        refused = "validate, other_cell" if name == "plan" else "extrapolate, validate, other_cell"
+        assert f"error: {refused}: not for a model of task times" in done.err, done.err

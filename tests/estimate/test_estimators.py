@@ -18,7 +18,7 @@ from cyclekit.estimate.cycle.transit import transit_table
 from cyclekit.estimate.cycle.walk import Rolled, roll_all, roll_out
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles
 from cyclekit.estimate.operator.tracks import ENTRIES, operator_tracks
-from cyclekit.estimate.ranked import ranked
+from cyclekit.estimate.ranked import Unranked, ranked
 from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.program import lay_out
 from cyclekit.estimate.rollout import estimate as estimate_validated
@@ -91,8 +91,7 @@ def test_sequences_that_do_different_work_are_not_held_against_each_other(logged
 
 def test_of_very_many_sequences_each_is_held_against_the_first_of_its_work(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("cyclekit.estimate.ranked.MANY", 2)
-    some = [made(name) for name in "abc"]
-    found = ranked(some, [np.full(4, float(n)) for n in range(3)], [False] * 3)
+    found = ranked([Unranked(made(name), np.full(4, float(n))) for n, name in enumerate("abc")])
     assert [entry.beats for entry in found] == [{}, {"a": 0.0}, {"a": 0.0}]
 
 

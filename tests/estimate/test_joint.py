@@ -28,6 +28,7 @@ from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif.change import Change
 
 ROBOT = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
+ROUTE = ("home", *("conveyor", "left_2", "conveyor", "left_5") * 3)
 OWN_S = 1.0
 AFTER_INBOUND = ConditionCard(agent="operator", place="inbound", event="leaves", lag_s=(0.25,))
 
@@ -307,6 +308,13 @@ def test_an_earlier_validation_of_one_way_to_roll_out_does_not_correct_the_other
     assert tracks.expected_s == pytest.approx(estimate(model, logged, [places], validate=False)[0].expected_s)
     assert [part for part, _ in told] == sorted(part for part, _ in told)
     assert sum(part == 1.0 for part, _ in told) == 1
+
+
+def test_plans_of_both_and_sequences_of_places_are_ranked_together(logged: Dataset) -> None:
+    asked = [both(("rest",)), TaskSequence("short", ("home", "conveyor", "left_2")), TaskSequence("long", ROUTE)]
+    found = estimate(Constant(1.0), logged, asked, validate=False)
+    assert [each.name for each in found] == ["short", "both", "long"]
+    assert found[0].expected_s < found[1].expected_s < found[2].expected_s
 
 
 def test_plan_corrects_by_an_earlier_validation_of_both(logged: Dataset, judged_joint: JointCheck) -> None:

@@ -124,6 +124,17 @@ def test_a_few_long_waits_do_not_widen_all_intervals(monkeypatch: pytest.MonkeyP
     assert max(inside) <= 0.94
 
 
+@pytest.mark.parametrize(("outside", "alone"), [(10, False), (11, True)])
+def test_logged_cycles_alone_count_at_the_level_of_task_lists(
+    monkeypatch: pytest.MonkeyPatch, outside: int, *, alone: bool
+) -> None:
+    """Of 60, ten or more are in the outer tenth with a chance of 7 %, eleven or more with one of 3 %."""
+    levels = np.concatenate([np.resize([0.01, 0.99], outside), np.linspace(0.1, 0.9, 60 - outside)])
+    found = _judged(monkeypatch, 45.0 + 10.0 * levels, np.tile(np.linspace(45.0, 55.0, 60), (60, 1)))
+    assert bool(found.scores) is alone
+    assert bool(found.ranks) is not alone
+
+
 def test_where_logged_cycles_scatter_more_than_rollouts_they_alone_count(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     logged = rng.normal(50.0, 4.0, 60)

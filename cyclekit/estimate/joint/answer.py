@@ -27,7 +27,7 @@ from cyclekit.estimate.limits import (
     refuse_biased,
     with_work,
 )
-from cyclekit.estimate.ranked import ranked
+from cyclekit.estimate.ranked import Unranked
 from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.robot.safety import OnStates
@@ -79,7 +79,7 @@ def estimate_both(
     other_cell: bool,
     refuse: _Refuse,
     tell: Progress,
-) -> list[CycleEstimate]:
+) -> list[Unranked]:
     """Return the expected cycle time of each sequence from a rollout of both agents.
 
     Args:
@@ -115,15 +115,15 @@ def estimate_both(
     pace = () if cell.coupling is None or cell.coupling.pace is None else (cell.coupling.pace,)
     paced = [one.said for one in pace]
     entries = []
-    for entry, _ in found:
+    for entry, means_s in found:
         entry, of_other_work, of_work = with_work(entry, _process_tasks(entry.places, nominal, cell))
         doubts = (*unseen, *of_other_work, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()))
         doubts += unknown
         few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
         warnings = (*doubts, *of_work, *few, *paced, *limits)
-        entries.append(replace(entry, doubts=doubts, warnings=warnings, pace=pace))
+        entries.append(Unranked(replace(entry, doubts=doubts, warnings=warnings, pace=pace), means_s))
     tell(1.0, "done")
-    return ranked(entries, [means for _, means in found], [False] * len(found))
+    return entries
 
 
 def _process_tasks(places: Sequence[str], nominal: Mapping[str, NominalTask], cell: JointCell) -> list[NominalTask]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 import polars as pl
-from scipy.special import bdtrc, stdtrit
+from scipy.special import stdtrit
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.joint.plans import Planner
@@ -18,7 +18,7 @@ from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.statistics.bias import bias_of
 from cyclekit.estimate.statistics.by_order import error_by_order
-from cyclekit.estimate.statistics.conformal import conformal
+from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, conformal, most_outside
 from cyclekit.estimate.validation.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.validation.logged import logged_durations, logged_sequences
 
@@ -31,14 +31,9 @@ if TYPE_CHECKING:
 
 DRAWS = 60
 """Number of cycles rolled out per logged execution."""
-PRIOR = 60
-"""Number of logged executions that count as much as the rolled-out cycles themselves in how single cycles scatter."""
 FEWEST, USUAL = 5, 40
 """Numbers of executions below which intervals of single cycles do not become wider, and with which rollouts were found
 to scatter as the logs do."""
-OUTSIDE, CHANCE = 0.05, 0.01
-"""If more logged executions than chance explains (second value) are outside these outer parts of their rolled-out
-cycles, only the logged executions count."""
 LEAST_SPREAD = 0.5
 """Minimum standard deviation of rolled-out cycles, as a share of the usual difference of logged cycles from them:
 cycles that seem not to vary would otherwise make the scores of all others huge."""
@@ -256,7 +251,7 @@ def _scatter(logged: Vector, simulated: Floats) -> _Scatter:
     """Return `scores` and `least_spread` of logged cycles (E,) in rollouts (E, K) that are too narrow, else `ranks`."""
     ranks = ((simulated < logged[:, None]).sum(axis=1) + 0.5) / (simulated.shape[1] + 1)
     outside = np.count_nonzero(np.abs(ranks - 0.5) > 0.5 - OUTSIDE)
-    if not outside or bdtrc(outside - 1, len(ranks), 2.0 * OUTSIDE) >= CHANCE:
+    if outside <= most_outside(len(ranks)):
         return {"ranks": (*ranks.tolist(), *((np.arange(PRIOR) + 0.5) / PRIOR).tolist())}
     means = simulated.mean(axis=1)
     off = logged - means

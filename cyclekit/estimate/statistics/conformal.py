@@ -1,13 +1,32 @@
-"""Conformal quantiles: a new value lies below one with the probability of its level."""
+"""Conformal quantiles: a new value lies below one with the probability of its level.
+
+Few logged cycles tell the outer quantiles badly: of sixty, three lie below the 5 % quantile. So rolled-out cycles count
+as PRIOR logged ones, unless more logged cycles than chance explains (CHANCE) lie in their outer parts (OUTSIDE).
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import bdtrc
 
 if TYPE_CHECKING:
     from cyclekit.schema import Vector
+
+PRIOR = 60
+"""Number of logged cycles that count as much as the rolled-out cycles themselves in how single cycles scatter."""
+OUTSIDE, CHANCE = 0.05, 0.05
+"""Outer parts of rolled-out cycles, and the statistical level of `most_outside`.
+
+Of 90 % intervals from rollouts with 0.6 of the true spread, 20 executions: 88 % hold; at half the level 86, at a fifth
+83, at twice 88. With the true spread 91 % do at all of these levels.
+"""
+
+
+def most_outside(count: int) -> int:
+    """Return how many of so many logged cycles may be in the outer parts of rolled-out cycles by chance."""
+    return int(np.argmax(bdtrc(np.arange(count + 1), count, 2.0 * OUTSIDE) < CHANCE))
 
 
 def conformal(values: Vector, level: float) -> float:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.whatif.change import Change
+    from cyclekit.schema import Progress
 
 PART = "part"
 """What a task waits for whose parts come by themselves, in `no_wait`."""
@@ -31,6 +32,7 @@ def what_if_tasks(
     *,
     seed: int = 0,
     refused: Callable[[TaskSequence | Change, EstimateError], None],
+    progress: Progress | None = None,
 ) -> list[WhatIf]:
     """Estimate every plan in the unchanged cell and under every change.
 
@@ -41,11 +43,14 @@ def what_if_tasks(
         seed: Seed of the draws; the same before and after.
         refused: Called with each plan that has no answer in the unchanged cell, and each change that has none, and the
             reason.
+        progress: Called with the fraction done and a text.
     """
     before = _estimates(model, sequences, seed, refused)
     answered = [plan for plan in sequences if plan.name in before]
     answers = []
-    for change in changes if answered else ():
+    for number, change in enumerate(changes if answered else (), 1):
+        if progress:
+            progress(number / (len(changes) + 1), change.name)
 
         def refuse(_: TaskSequence, error: EstimateError, change: Change = change) -> None:
             refused(change, error)

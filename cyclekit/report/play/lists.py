@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, most_outside
 from cyclekit.estimate.statistics.resample import Z95
-from cyclekit.estimate.task_times import CYCLES, LEVELS, OUTSIDE, PRIOR, SURE_BIAS, most_outside, widening
+from cyclekit.estimate.task_times import CYCLES, LEVELS, SURE_BIAS, widening
 from cyclekit.learning.task_times.prepared import agent_of, prepared
 from cyclekit.report.play.tables import SEED
 

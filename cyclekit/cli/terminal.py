@@ -145,41 +145,55 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
         rows: Cells as text; each row has as many as the header.
         title: Line above the table.
     """
+    from rich.cells import cell_len
+
+    header, *rows = [[one_line(cell) for cell in row] for row in (header, *rows)]
+    texts = [index == 0 or name.endswith(" ") for index, name in enumerate(header)]
+    longest = [max(map(cell_len, column)) for column in zip(header, *rows, strict=True)]
+    body = ""
+    if sum(longest) + 2 * len(longest) > columns():
+        header = [name if left else name.replace(" ", "\n") for name, left in zip(header, texts, strict=True)]
+        numbers = [[*header[at].split("\n"), *(row[at] for row in rows)] for at, left in enumerate(texts) if not left]
+        room = columns() - sum(2 + max(map(cell_len, column)) for column in numbers)
+        if room < MIN_TEXT * sum(texts):
+            body = _stacked(header, rows, texts) if numbers and room >= 0 else _listed(header, rows)
+    body = body or _grid(header, rows, texts)
+    return f"{title}\n{body}" if title else body
+
+
+def _grid(header: Sequence[str], rows: Sequence[Sequence[str]], texts: Sequence[bool]) -> str:
+    """Return a table with its texts folded and its numbers in one line each."""
     import io
 
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    texts = [index == 0 or name.endswith(" ") for index, name in enumerate(header)]
-    longest = [max(len(one_line(text)) for text in column) for column in zip(header, *rows, strict=True)]
-    if sum(longest) + 2 * len(longest) > columns():
-        header = [name if left else name.replace(" ", "\n") for name, left in zip(header, texts, strict=True)]
-        cells = [[*name.split("\n"), *(row[at] for row in rows)] for at, name in enumerate(header) if not texts[at]]
-        room = columns() - sum(2 + max(map(len, column)) for column in cells)
-        if cells and 0 < room < MIN_TEXT * sum(texts):
-            return _stacked(header, rows, texts, title)
     grid = Table(box=None, pad_edge=False, show_edge=False, padding=(0, 2, 0, 0))
-    for index, name in enumerate(header):
-        left = texts[index]
+    for name, left in zip(header, texts, strict=True):
         grid.add_column(name.strip(), justify="left" if left else "right", overflow="fold", no_wrap=not left)
     for row in rows:
-        grid.add_row(*(Text(one_line(cell)) for cell in row))  # as Text: rich would parse `[a]` in a path as a style
+        grid.add_row(*map(Text, row))  # as Text: rich would parse `[a]` in a path as a style
     page = io.StringIO()
     Console(file=page, width=columns(), markup=False, highlight=False, emoji=False, no_color=True).print(grid)
-    body = "\n".join(line.rstrip() for line in page.getvalue().splitlines())
-    return f"{title}\n{body}" if title else body
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines())
 
 
-def _stacked(header: Sequence[str], rows: Sequence[Sequence[str]], texts: Sequence[bool], title: str) -> str:
+def _stacked(header: Sequence[str], rows: Sequence[Sequence[str]], texts: Sequence[bool]) -> str:
     """Return a table for a narrow terminal, with the texts of each row on a separate line above its numbers."""
     numbers = [["", *(cell for cell, left in zip(row, texts, strict=True) if not left)] for row in (header, *rows)]
-    lines = table(numbers[0], numbers[1:], title=title).splitlines()
+    lines = _grid(numbers[0], numbers[1:], [True] + [False] * (len(numbers[0]) - 1)).split("\n")
     head = len(lines) - len(rows)
     for row, line in zip(rows, lines[head:], strict=True):
-        named = ", ".join(one_line(cell) for cell, left in zip(row, texts, strict=True) if left and cell)
-        lines += [bullet([named], mark=""), line]
+        named = [f"{header[at].strip()}: {row[at]}" for at in range(1, len(row)) if texts[at] and row[at]]
+        lines += [bullet([", ".join([row[0], *named])], mark=""), line]
     return "\n".join(lines[:head] + lines[head + len(rows) :])
+
+
+def _listed(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table whose columns do not fit beside each other: each row as `heading: cell, heading: cell`."""
+    names = [" ".join(name.split()) for name in header]
+    return bullet([", ".join(map(": ".join, zip(names, row, strict=True))) for row in rows])
 
 
 class _Lines:

@@ -8,20 +8,24 @@ import json
 import math
 import re
 import time
+from collections import Counter
 from pathlib import Path
+from unittest import mock
 
 import pytest
 import typer
 from fabricated import fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.cells import cell_len
 
 from cyclekit.cli import terminal
 from cyclekit.cli.facts import page
 from cyclekit.cli.options import seconds, vector
-from cyclekit.cli.terminal import Terminal, bullet, duration, percent, table, write_json, write_out
+from cyclekit.cli.terminal import Terminal, bullet, columns, duration, percent, table, write_json, write_out
 from cyclekit.inspect.describe import describe
 from cyclekit.inspect.facts import DatasetDescription
+from cyclekit.text.plain_text import one_line
 
 
 def test_a_path_in_brackets_stays_in_the_table() -> None:
@@ -35,6 +39,37 @@ def test_a_long_name_is_folded_and_no_number_is_lost() -> None:
     assert max(map(len, shown.splitlines())) <= 80
     assert "123.4" in shown
     assert "5678.9" in shown
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> tuple[list[str], list[list[str]]]:
+    """Draw any table: up to eight columns of text or numbers, and up to four rows of cells of any length."""
+    count = draw(st.integers(1, 8))
+    cells = st.one_of(st.text(max_size=8), st.integers(0, 90).map("x".__mul__), st.sampled_from(["12.5 s", "wait for"]))
+    header = draw(st.lists(cells, min_size=count, max_size=count))
+    header = [name + " " * draw(st.booleans()) for name in header]
+    return header, draw(st.lists(st.lists(cells, min_size=count, max_size=count), max_size=4))
+
+
+@given(tables(), st.integers(1, 200))
+def test_a_table_of_any_text_at_any_width_is_shown_and_loses_nothing(drawn, width: int) -> None:
+    header, rows = drawn
+    with mock.patch.dict("os.environ", {"COLUMNS": str(width)}):
+        shown = table(header, rows)
+        assert max(map(cell_len, shown.split("\n"))) <= 2 * columns()  # letters of two columns are wrapped by number
+        if shown.isascii():
+            assert max(map(len, shown.split("\n"))) <= columns()
+    left = Counter(shown)
+    left.subtract(c for row in rows for c in "".join(map(one_line, row)) if not c.isspace())
+    lost = {c for c, count in left.items() if count < 0}
+    assert not lost
+
+
+def test_a_long_wait_beside_numbers_is_a_table() -> None:
+    for length in range(45, 90):
+        row = ["pick", "w" * length, "n" * 12, "9" * length]
+        assert table(["task ", "waits for ", "s", "of"], [row]).count("w") >= length
+        assert table(["task", "waits for", "s"], [["pick", "w" * length, "9" * 6]]).count("w") >= length
 
 
 @pytest.mark.parametrize(
@@ -192,4 +227,4 @@ def test_a_table_fits_the_terminal_and_breaks_no_word_of_a_name(width: int, monk
     words = {word.strip(",") for line in lines for word in line.split()}
     assert {"conveyor", "right", "table", "first", "102.7*", "99.1-105.7", "10.7)"} <= words
     if width == 60:
-        assert lines.count("conveyor back, right table first") == 2
+        assert lines.count("conveyor back, sequence: right table first") == 2

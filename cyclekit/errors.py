@@ -10,6 +10,7 @@
     ├── ConfigError         a configuration or sequence file is invalid
     │   └── UnknownName         a name (place, key, task, topic) that does not exist; the nearest one is shown
     ├── DatasetError        the folder is not a dataset, has another version, or lacks required data
+    │   └── ReplacedDataset     another process replaced it while it was read
     ├── ModelError          the folder is not a model, or the model does not fit the dataset
     ├── EstimateError       the logs do not allow this estimate
     ├── ShapeError          arrays of inconsistent shapes (an error of the caller)
@@ -131,6 +132,14 @@ class UnknownName(ConfigError):
 
 class DatasetError(CyclekitError):
     """The folder is not a dataset, or lacks required data."""
+
+
+class ReplacedDataset(DatasetError):
+    """A dataset was replaced by another ingest after it was opened."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the message for a dataset at `path`."""
+        super().__init__(f"{path}: replaced by another ingest while it was read", cure="Open or run it again.")
 
 
 class NoLevels(DatasetError):

@@ -10,8 +10,12 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from cyclekit.errors import UnknownName, WrongType
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ReplacedDataset, UnknownName, WrongType
 from cyclekit.schema import Progress as Progress
+
+TRIES = 3
+"""How often a call reads a dataset that others replace meanwhile; a default against an endless loop."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -21,6 +25,8 @@ Place = str | Path
 
 def checked(function: Callable[P, R], home: str | None = None, name: str | None = None) -> Callable[P, R]:
     """Return a function whose arguments are checked in each call.
+
+    It begins again if another process replaces a dataset that it opened, at most `TRIES` times.
 
     Args:
         function: A function of this package, or of a room below, with the public signature.
@@ -38,6 +44,12 @@ def checked(function: Callable[P, R], home: str | None = None, name: str | None 
         hints = get_type_hints(function)
         for each, value in known.bind(*args, **kwargs).arguments.items():
             _check(call.__name__, each, value, hints[each])
+        for _ in range(TRIES - 1):
+            try:
+                return function(*args, **kwargs)
+            except ReplacedDataset:
+                if any(isinstance(value, Dataset) for value in (*args, *kwargs.values())):
+                    raise
         return function(*args, **kwargs)
 
     call.__module__, call.__qualname__ = home or function.__module__, name or function.__qualname__

@@ -116,6 +116,18 @@ def is_damaged(text: str) -> bool:
     return with_checksum(f"{body}\n}}\n") != text
 
 
+Stamp = tuple[int, int, int, int]
+
+
+def stamp_of(file: Path) -> Stamp | None:
+    """Return what changes if a file is replaced: device, inode, size and time; None if there is no file."""
+    try:
+        about = file.stat()
+    except OSError:
+        return None
+    return about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns
+
+
 @contextmanager
 def reading(file: Path, again: Path) -> Iterator[None]:
     """Convert errors of polars and Arrow about an unreadable table into one message.
@@ -126,7 +138,8 @@ def reading(file: Path, again: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (pl.exceptions.PolarsError, OSError) as error:  # Arrow raises a ValueError or an OSError
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+        # Arrow raises a ValueError or an OSError; polars panics over a file that was replaced while it was read
         raise unreadable(file, again, str(error).strip().partition("\n")[0]) from error
     except ValueError as error:
         if type(error).__module__ != "pyarrow.lib":

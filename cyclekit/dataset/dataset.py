@@ -31,10 +31,11 @@ from cyclekit.storage.remote.folders import local
 from cyclekit.text.results import html_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from cyclekit.config import Furniture
     from cyclekit.dataset.cards import DatasetCard, ExecutionCard, PlaceCard, RecordingCard
+    from cyclekit.dataset.checksums import Stamp
     from cyclekit.dataset.signals import SignalChanges
     from cyclekit.plots.drawing import Drawing
 
@@ -69,13 +70,14 @@ class Place:
 class Dataset:
     """A dataset opened for reading; tables are read on demand."""
 
-    def __init__(self, path: Path, card: DatasetCard, place: str | None = None) -> None:
+    def __init__(self, path: Path, card: DatasetCard, place: str | None = None, stamp: Stamp | None = None) -> None:
         """Store the arguments; use `Dataset.open` instead.
 
         Args:
             path: Its folder on this machine.
             card: Content of its `dataset.json`.
             place: Path or URL by which any machine can open it; default: the folder.
+            stamp: Stamp of the file of the card, which shows later whether another ingest replaced the dataset.
 
         `is_part` is True for the result of `only`; `people` is the argument of `by_people`.
         """
@@ -84,7 +86,8 @@ class Dataset:
         self.place = place or str(path)
         self.is_part = False
         self.people: People = "auto"
-        self._files = DatasetFiles(path, card.files)
+        self._stamp = stamp
+        self._files = DatasetFiles(path, card.files, stamp)
         self._recorded = RecordedTables(path, self._files, card.recordings)
 
     def __repr__(self) -> str:
@@ -114,7 +117,8 @@ class Dataset:
             StorageError: The URL cannot be read.
         """
         place, path = str(path), local(path)
-        return cls(path, opened_card(path), place)
+        card, stamp = opened_card(path)
+        return cls(path, card, place, stamp)
 
     @classmethod
     def of(cls, given: Dataset | Path | str) -> Dataset:
@@ -128,7 +132,7 @@ class Dataset:
             UnknownName: An execution is not in the dataset.
         """
         card = msgspec.structs.replace(self.card, executions=tuple(self._execution(name) for name in executions))
-        part = Dataset(self.path, card, self.place)
+        part = Dataset(self.path, card, self.place, self._stamp)
         part.is_part, part.people = True, self.people
         return part
 
@@ -144,7 +148,7 @@ class Dataset:
             raise DatasetError(msg, cure="Leave --people out (from Python people), or ingest logs that hold them.")
         if people == self.people:
             return self
-        alike = Dataset(self.path, self.card, self.place)
+        alike = Dataset(self.path, self.card, self.place, self._stamp)
         alike.is_part, alike.people = self.is_part, people
         return alike
 
@@ -225,12 +229,15 @@ class Dataset:
         scans = [self._scan([file], needed).filter(mine).select(wanted) for file in files]
         return pl.concat([self._files.collected(scan, "samples") for scan in scans])
 
-    def scan_samples(self) -> pl.LazyFrame:
-        """Return all samples as a lazy frame, for a few columns of many executions."""
+    def summed_up(self, summary: Callable[[pl.LazyFrame], pl.LazyFrame]) -> pl.DataFrame:
+        """Return the summary of all samples, which may be more than fit into memory.
+
+        Args:
+            summary: Makes it of the samples, both as lazy frames.
+        """
         files = self._files.of_samples(None)
-        if not files:
-            return schema.empty(schema.SAMPLES).lazy()
-        return self._mine(self._scan(files, list(schema.SAMPLES)))
+        samples = self._scan(files, list(schema.SAMPLES)) if files else schema.empty(schema.SAMPLES).lazy()
+        return self._files.collected(summary(self._mine(samples)), "samples")
 
     @property
     def positions(self) -> tuple[str, ...]:

@@ -6,24 +6,27 @@ exist. `dataset` defines the meaning of the tables.
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.dataset.checksums import damage_of, damaged_files, reading, unreadable
+from cyclekit.dataset.checksums import damage_of, damaged_files, reading, stamp_of, unreadable
 from cyclekit.dataset.row_counts import check_rows, sample_files
 from cyclekit.dataset.shared_index import INDEX, RECORDING, shared_rows
-from cyclekit.errors import DatasetError
+from cyclekit.errors import DatasetError, ReplacedDataset
+from cyclekit.storage.identify import DATASET_CARD
 from cyclekit.storage.memory import memory_limit_bytes
 from cyclekit.storage.safe_path import safe_path
 from cyclekit.text.columns import in_one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from collections.abc import Set as AbstractSet
     from pathlib import Path
 
     from cyclekit.dataset.cards import FileCard
+    from cyclekit.dataset.checksums import Stamp
     from cyclekit.schema import Column
 
 
@@ -48,9 +51,9 @@ _CURE = (
 class DatasetFiles:
     """The Parquet files of one dataset."""
 
-    def __init__(self, path: Path, listed: Mapping[str, FileCard] | None) -> None:
-        """Store the folder and the list of files in the card; None = no list."""
-        self._path, self._listed = path, listed
+    def __init__(self, path: Path, listed: Mapping[str, FileCard] | None, stamp: Stamp | None = None) -> None:
+        """Store the folder, the list of files in the card (None = no list), and the stamp of the card."""
+        self._path, self._listed, self._stamp = path, listed, stamp
 
     @property
     def listed(self) -> Mapping[str, FileCard] | None:
@@ -115,7 +118,7 @@ class DatasetFiles:
             DatasetError: A file is no table, or a column is missing or has another type.
         """
         rows = pl.scan_parquet(list(files), glob=False)
-        with reading(files[0], self._path):
+        with self.reading(files[0]):
             found = rows.collect_schema()
         later = {name: value for name, value in (added or {}).items() if name in wanted and name not in found}
         rows = rows.with_columns(pl.lit(value, columns[name].dtype).alias(name) for name, value in later.items())
@@ -131,7 +134,8 @@ class DatasetFiles:
         Raises:
             DatasetError: It has more, or is no file.
         """
-        check_rows([self.path_of(name)], most, what)
+        with self.reading(self.path_of(name)):
+            check_rows([self.path_of(name)], most, what)
 
     def check_memory(self, files: Sequence[Path], wanted: Sequence[str], most: int | None = None) -> None:
         """Refuse to read more than fits into memory; otherwise the process would be killed.
@@ -147,7 +151,7 @@ class DatasetFiles:
         free = memory_limit_bytes()
         if free is None or not files:
             return
-        with reading(files[0], self._path):
+        with self.reading(files[0]):
             rows = int(pl.scan_parquet(list(files), glob=False).select(pl.len()).collect().item())
             needed = rows * len(wanted) * _VALUE_BYTES
             if sum(file.stat().st_size for file in files) > _SMALL_BYTES:
@@ -179,7 +183,7 @@ class DatasetFiles:
         from cyclekit.storage.parquet_layout import spans  # local: reading logs does not need Arrow
 
         file, wanted = self._with_footer(name), None if columns is None else {"t_s", *columns}
-        with reading(file, self._path):
+        with self.reading(file):
             within = spans(file, wanted, column="t_s", least=first_s, most=last_s)
         rows = pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
         return rows if columns is None else rows.select(list(dict.fromkeys(["t_s", *columns])))
@@ -195,7 +199,7 @@ class DatasetFiles:
         from cyclekit.storage.parquet_layout import spans
 
         file = self._with_footer(name)
-        with reading(file, self._path):
+        with self.reading(file):
             within = spans(file, columns)
         return self._checked(name, within)
 
@@ -208,7 +212,7 @@ class DatasetFiles:
         """Return a Parquet file with its footer verified, which locates the columns."""
         end = self._size(name)
         file = self._checked(name, [(end - _TAIL_BYTES, end)])
-        with reading(file, self._path), file.open("rb") as handle:
+        with self.reading(file), file.open("rb") as handle:
             handle.seek(end - _TAIL_BYTES)
             length = int.from_bytes(handle.read(4), "little")
         return self._checked(name, [(max(end - _TAIL_BYTES - length, 0), end)])
@@ -230,10 +234,10 @@ class DatasetFiles:
         if (rows := shared_rows(self._path, recording, table)) is None:
             return None
         file = self.verified_file(rows.file)
-        if rows.count != count:
-            seen = f"the index states {rows.count:,} rows of {recording}, dataset.json {count:,}"
-            raise unreadable(file, self._path, seen)
-        with reading(file, self._path):
+        with self.reading(file):
+            if rows.count != count:
+                seen = f"the index states {rows.count:,} rows of {recording}, dataset.json {count:,}"
+                raise unreadable(file, self._path, seen)
             return pl.scan_parquet(file, glob=False).slice(rows.first, rows.count).drop(RECORDING)
 
     def collected(self, rows: pl.LazyFrame, name: str) -> pl.DataFrame:
@@ -242,8 +246,28 @@ class DatasetFiles:
         Raises:
             DatasetError: It cannot be read.
         """
-        with reading(self.path_of(name), self._path):
+        with self.reading(self.path_of(name)):
             return in_one_line(rows.collect())
+
+    @contextmanager
+    def reading(self, file: Path) -> Iterator[None]:
+        """Convert errors about an unreadable table into one message, also if the dataset was replaced meanwhile.
+
+        Raises:
+            ReplacedDataset: The card is no longer the one that was opened; what was read may be of either.
+            DatasetError: The table cannot be read.
+        """
+        try:
+            with reading(file, self._path):
+                yield
+        except DatasetError:
+            self._refuse_replaced()
+            raise
+        self._refuse_replaced()
+
+    def _refuse_replaced(self) -> None:
+        if self._stamp is not None and stamp_of(self._path / DATASET_CARD) != self._stamp:
+            raise ReplacedDataset(self._path)
 
     def _checked(self, name: str, spans: Sequence[tuple[int, int]] | None) -> Path:
         file = self.path_of(name)
@@ -252,5 +276,6 @@ class DatasetFiles:
         else:
             problem = damage_of(file, self._listed[name], spans) if name in self._listed else "missing"
         if problem is not None:
+            self._refuse_replaced()
             raise unreadable(file, self._path, problem)
         return file

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.dataset import checksums
 from cyclekit.dataset.shared_index import shared_rows
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ class RecordedTables:
         if (name := self._native(recording, table)) is None:
             return None
         file = self._files.verified_file(name)
-        with checksums.reading(file, self._path):
+        with self._files.reading(file):
             rows = pl.scan_parquet(file, glob=False)
             columns = rows.collect_schema().names()
         self._files.check_memory([file], columns)
@@ -67,7 +66,7 @@ class RecordedTables:
             yield self._files.collected(shared.select("t_s"), _recorded(recording, table))
             return
         file = self._files.verified_columns(self._native(recording, table) or _recorded(recording, table), ["t_s"])
-        with checksums.reading(file, self._path):
+        with self._files.reading(file):
             stored = StoredTable(file, ("t_s",))
             for begin, end in stored.groups:
                 yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
@@ -78,10 +77,11 @@ class RecordedTables:
         from cyclekit.storage.parquet import StoredTable
 
         if self._shared(recording, "robot") is not None and (rows := shared_rows(self._path, recording, "robot")):
-            return SharedTable(self._path, rows, columns)
+            with self._files.reading(self._path / rows.file):
+                return SharedTable(self._path, rows, columns)
         name = self._native(recording, "robot") or _recorded(recording, "robot")
         file = self._files.verified_columns(name, columns)
-        with checksums.reading(file, self._path):
+        with self._files.reading(file):
             return StoredTable(file, columns)
 
     def robot_of(
@@ -112,7 +112,7 @@ class RecordedTables:
         """Return the columns of a native-rate table; what is read of them is verified later."""
         if name not in self._names:
             file = self._files.path_of(name)
-            with checksums.reading(file, self._path):
+            with self._files.reading(file):
                 self._names[name] = pl.scan_parquet(file, glob=False).collect_schema().names()
         return self._names[name]
 

@@ -71,9 +71,11 @@ class _Known(NamedTuple):
 @lru_cache(maxsize=4)
 def _known(dataset: Dataset) -> _Known:
     followed = pl.col("human_x_m").is_not_null() | pl.col("human_gap").is_in(["absent", "occluded"])
-    by = dataset.scan_samples().group_by("execution")
-    found = by.agg(followed.any().alias("positions"), pl.col("human_signals").is_not_null().any().alias("signals"))
-    counts = found.select("positions", "signals", both=pl.col("positions") & pl.col("signals")).sum().collect()
+    signals = pl.col("human_signals").is_not_null()
+    found = dataset.summed_up(
+        lambda samples: samples.group_by("execution").agg(positions=followed.any(), signals=signals.any())
+    )
+    counts = found.select("positions", "signals", both=pl.col("positions") & pl.col("signals")).sum()
     return _Known(*counts.row(0))
 
 

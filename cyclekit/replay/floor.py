@@ -101,7 +101,7 @@ def rule_shapes(model: PredictsNow | None, human_m: NDArray[np.float64]) -> tupl
 def walked_squares(dataset: Dataset) -> NDArray[np.float64]:
     """Return the centres of all squares with a logged operator and of their neighbours, shape (C, 2), m."""
     column, row = ((pl.col(f"human_{axis}_m") / SQUARE_M).floor().cast(pl.Int64) for axis in "xy")
-    seen = dataset.scan_samples().select(column=column, row=row).drop_nulls().unique().collect().to_numpy()
+    seen = dataset.summed_up(lambda samples: samples.select(column=column, row=row).drop_nulls().unique()).to_numpy()
     if not len(seen):
         return np.empty((0, 2))
     around = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])

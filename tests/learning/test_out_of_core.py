@@ -118,7 +118,13 @@ def test_executions_are_drawn_until_they_have_the_rows(logs: Dataset) -> None:
 def test_a_part_of_a_dataset_holds_its_executions_alone(logs: Dataset) -> None:
     names = logs.executions["execution"].to_list()
     part = logs.only(names[1:3])
-    for frame in (part.samples(), part.scan_samples().collect(), part.tasks(), part.executions, part.done_tasks()):
+    for frame in (
+        part.samples(),
+        part.summed_up(lambda samples: samples),
+        part.tasks(),
+        part.executions,
+        part.done_tasks(),
+    ):
         assert set(frame["execution"]) == set(names[1:3])
     assert logs.samples(names).equals(logs.samples())
 

@@ -64,7 +64,7 @@ def everything(path: Path) -> list[Any]:
         data.tasks(),
         data.done_tasks(),
         data.quarantine(),
-        data.scan_samples().collect(),
+        data.summed_up(lambda samples: samples),
     ]
     for record in data.recordings:
         found += [data.recorded(record.id, name) for name in record.tables]

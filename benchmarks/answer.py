@@ -43,6 +43,7 @@ from rich.table import Table
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.estimate.cycle.transit import transit_table
 from cyclekit.estimate.cycle.walk import roll_out
+from cyclekit.estimate.finding import worst
 from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.plan.search import every_order, random_order, tasks_of
@@ -94,7 +95,7 @@ def _of_logs(asked: argparse.Namespace, seed: int) -> dict[str, np.ndarray]:
     check = check_rollout(cell.model, cell.dataset)
     OUT.print(f"check: {time.process_time() - began:.1f} s cpu; own {100 * check.own_bias:+.3f} % +- "
               f"{100 * check.own_error:.3f}, crossed {100 * check.crossed_bias:+.2f} %, z {check.reacts_z:.1f}, "
-              f"coverage {check.coverage}, held out {check.coverage_held_out}, doubts {check.doubts}")  # fmt: skip
+              f"coverage {check.coverage}, held out {check.coverage_held_out}, {worst(check.findings)}")  # fmt: skip
 
     def by(estimator: str, **more: object) -> list[CycleEstimate]:
         model = average_model(asked.work, cell) if estimator == "average" else cell.model

@@ -58,11 +58,15 @@ def sheets_of_plan(found: OrderPlan, dataset: Dataset, model: object) -> Sheets:
     """Return the sheets of an order search, all times in seconds."""
     single = {name: value for name, value in found.to_dict().items() if not isinstance(value, list)}
     saved = dict(zip(("saves_s", "saves_low_s", "saves_high_s"), found.saves_s, strict=True))
-    listed: Rows = [["doubt", text] for text in found.doubts]
+    listed: Rows = [[one.level, one.shown] for one in found.findings]
     listed += [["note", text] for text in found.notes]
     listed += [["never logged", task] for task in found.unlogged]
     return {
-        "answer": [["what", "value"], ["order", ", ".join(found.order)], *map(list, (single | saved).items())],
+        "answer": [
+            ["what", "value"],
+            ["order", ", ".join(found.order)],
+            *map(list, (single | saved).items()),
+        ],
         "tasks": _of_frame(found.to_frame()),
         "levels": _levels(dataset, model),
         "provenance": _provenance(dataset, model, listed),

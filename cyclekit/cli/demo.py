@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import doubt_legend, starred
+from cyclekit.cli.light import light, marked
 from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Quiet, vector
 from cyclekit.cli.terminal import Terminal, bullet, duration, table, write_out
 from cyclekit.cli.train import summary
@@ -184,8 +184,8 @@ def _closing(estimates: CycleEstimates, verdict: str, run: _Run) -> str:
     lines = [
         "Cycle time of three orders of the same ten boxes:",
         "",
+        light(estimates, width=WIDTH),
         _table(estimates),
-        doubt_legend(estimates, width=WIDTH),
         "",
         bullet([verdict], mark="", width=WIDTH),
         "",
@@ -207,7 +207,7 @@ def _table(estimates: CycleEstimates) -> str:
     rows = [
         [
             f"{rank}. {one.name}",
-            starred(one, f"{one.expected_s:.1f}"),
+            marked(one, f"{one.expected_s:.1f}"),
             f"{one.expected_low_s:.1f} to {one.expected_high_s:.1f}",
             f"{one.safety_loss_s:.1f}",
         ]

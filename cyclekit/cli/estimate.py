@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cyclekit.cli.light import light, marked
 from cyclekit.cli.options import (
     Baseline,
     Checked,
@@ -39,7 +40,6 @@ CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait =
 OF_LISTS = "seconds of the robot: usual task times + effect of simultaneous tasks + wait"
 IDLE = "seconds: motion at full speed + slow-down for safety + dwell + wait"
 UNTIL_DONE = " + idle until the operator is done = expected"
-DOUBT_MARK = "* "
 SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
 PLAN_RESTS = "continued: the robot waited on its way to the place"
 PLAN_SHARES = "in brackets: in which share of the cycles it came last"
@@ -115,9 +115,9 @@ def estimate(
             terminal.remark(f"written: {file}")
     by_task = "" if len(found) != 1 else plan_table(found[0]) if found[0].plan else tasks_table(found[0])
     caption = _caption(found)
-    numbers = f"{estimates_table(found)}\n{bullet([caption], mark='')}\n{doubt_legend(found)}".rstrip()
+    numbers = f"{estimates_table(found)}\n{bullet([caption], mark='')}"
     parts = [
-        warning_lines(found.alarms),
+        light(found),
         numbers,
         not_answered(found.refused),
         to_log(plan_recordings(dataset, sequences)) if found.refused and not found[0].plan else "",
@@ -137,28 +137,6 @@ def not_answered(refused: Sequence[Refusal]) -> str:
     return f"Not answered\n{bullet([one.reason for one in refused])}" if refused else ""
 
 
-def warning_lines(alarms: Sequence[str]) -> str:
-    """Return the warnings that are printed above the numbers, as lines."""
-    return bullet(alarms, mark="WARNING: ")
-
-
-def starred(entry: CycleEstimate, number: str) -> str:
-    """Return a number, with an asterisk if the estimate has doubts."""
-    return f"{number}*" if entry.doubts else number
-
-
-def doubt_legend(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
-    """Return the legend of the asterisks: each doubt once, with its sequences unless it concerns all."""
-    by_text: dict[str, list[str]] = {}
-    for entry in found:
-        for text in entry.doubts:
-            by_text.setdefault(text, []).append(entry.name)
-    names = {text: list(dict.fromkeys(concerned)) for text, concerned in by_text.items()}
-    every = len({entry.name for entry in found})
-    lines = [text if len(some) == every else f"{', '.join(some)}: {text}" for text, some in names.items()]
-    return bullet(lines, mark=DOUBT_MARK, width=width)
-
-
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
     """Return one table per kind of work, fastest first: expected time, range of cycles, and its parts."""
     from cyclekit.estimate.result import SPLIT
@@ -174,7 +152,7 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
         rows = [
             [
                 f"{place}. {entry.name}" if len(entries) > 1 else entry.name,
-                starred(entry, f"{entry.expected_s:.1f} s"),
+                marked(entry, f"{entry.expected_s:.1f} s"),
                 f"{entry.quantiles_s[low]:.0f}-{entry.quantiles_s[high]:.0f} s",
                 *(f"{getattr(entry, part):.1f}" for part in (*SPLIT, *idle)),
             ]
@@ -309,7 +287,7 @@ def plan_table(entry: CycleEstimate) -> str:
 def basis_and_limits(found: Sequence[CycleEstimate]) -> str:
     """Return the basis and the limits of each estimate, one line each."""
     lines: list[str] = []
-    every = [set(entry.warnings) - set(entry.doubts) for entry in found]
+    every = [set(entry.limits) for entry in found]
     of_all = set.intersection(*every) if len(found) > 1 else set[str]()
     for entry in found:
         tracks = f", {entry.tracks} cycles simulated" if entry.tracks else ""
@@ -318,9 +296,8 @@ def basis_and_limits(found: Sequence[CycleEstimate]) -> str:
             f"{_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
             f"{entry.expected_high_s:.1f} s)"
         )
-        mine = (text for text in entry.warnings if text not in entry.doubts and text not in of_all)
-        lines.extend(f"{entry.name}: {text}" for text in mine)
-    lines.extend(text for text in (found[0].warnings if of_all else ()) if text in of_all)
+        lines.extend(f"{entry.name}: {text}" for text in entry.limits if text not in of_all)
+    lines.extend(text for text in (found[0].limits if of_all else ()) if text in of_all)
     return "Basis and limits\n" + bullet(lines)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cyclekit.cli.estimate import doubt_legend, warning_lines
+from cyclekit.cli.light import light
 from cyclekit.cli.options import (
     Checked,
     Extrapolate,
@@ -64,8 +64,6 @@ def gate(
             other_cell=other_cell,
             progress=progress,
         )
-    for text in (warning_lines(found.estimates.alarms), doubt_legend([found.worst])):
-        if text:
-            terminal.remark(text)
+    terminal.remark(light(found.estimates))
     terminal.answer(found.to_dict(), found.line)
     return 0 if found.passed else 1

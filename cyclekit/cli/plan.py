@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import DOUBT_MARK, warning_lines
+from cyclekit.cli.light import MARKS, light, light_of_findings
 from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
-from cyclekit.cli.terminal import Terminal, bullet
+from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,14 +58,10 @@ def plan(
     if out is not None:
         terminal.remark(f"written: {out}")
     if isinstance(found, TaskOrderPlan):
-        terminal.answer(found.to_dict(), _both(found))
+        terminal.answer(found.to_dict(), light([found.estimate]), _both(found))
         return
-    alarms = [found.alarm] if found.alarm else []
-    doubts = bullet(found.doubts, mark=DOUBT_MARK)
     terminal.warnings(found.notes)
-    terminal.answer(
-        {**found.to_dict(), "warnings": alarms}, warning_lines(alarms), f"{_text(found)}\n{doubts}".rstrip()
-    )
+    terminal.answer(found.to_dict(), light_of_findings(found.findings), _text(found))
 
 
 def _both(found: TaskOrderPlan) -> str:
@@ -79,7 +75,7 @@ def _both(found: TaskOrderPlan) -> str:
             f"expected {found.estimate.expected_s:.1f} s; {found.against} {found.against_s:.1f} s on average",
             f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%)",
             f"search: {found.tried} orders scored; {found.estimate.executions} logged executions",
-            *found.estimate.warnings,
+            *found.estimate.limits,
         ]
     )
 
@@ -89,11 +85,11 @@ def _orders(robot: str, operator: Sequence[str]) -> list[str]:
 
 
 def _text(found: OrderPlan) -> str:
+    from cyclekit.estimate.finding import worst
     from cyclekit.estimate.plan import some
 
     saved, low, high = found.saves_s
-    star = "*" if found.doubts else ""
-    order = ", ".join(found.order)
+    order, mark = ", ".join(found.order), MARKS[worst(found.findings)]
     seen = [
         f"saves {saved:z.1f} s a cycle ({low:z.1f} to {high:z.1f} s, 95%) with the logged operators",
         f"of that {found.saves_unseen_s:z.1f} s with operators that were not used to choose the order",
@@ -101,7 +97,7 @@ def _text(found: OrderPlan) -> str:
     both = [f"saves {saved:z.1f} s a cycle ({low:z.1f} to {high:z.1f} s, 95%)"]
     lines = [
         *([f"order: {order}"] if found.operator is None else _orders(order, found.operator)),
-        f"expected {found.expected_s:.1f} s{star}; {found.against} {found.against_s:.1f} s on average",
+        f"expected {found.expected_s:.1f} s{mark}; {found.against} {found.against_s:.1f} s on average",
         *(both if found.drawn_alike else seen),
         f"{found.searched}: {found.tried} orders scored; {found.executions} logged executions",
     ]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import doubt_legend, not_answered, starred, warning_lines
+from cyclekit.cli.estimate import not_answered
+from cyclekit.cli.light import light, marked
 from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet, SequenceFile
 from cyclekit.cli.terminal import Terminal, bullet, table
 
@@ -67,11 +68,8 @@ def whatif(
         )
     if out is not None:
         terminal.remark(f"written: {out}")
-    numbers = (
-        f"{_table(found)}\n{doubt_legend([side for entry in found for side in (entry.before, entry.after)])}".rstrip()
-    )
-    refused, limits = not_answered(found.refused), _limits(found)
-    terminal.answer(found.to_dict(), warning_lines(found.alarms), numbers, refused, limits, found.safety)
+    lamp = light([side for entry in found for side in (entry.before, entry.after)])
+    terminal.answer(found.to_dict(), lamp, _table(found), not_answered(found.refused), _limits(found), found.safety)
 
 
 def _table(found: Sequence[WhatIf]) -> str:
@@ -83,8 +81,8 @@ def _table(found: Sequence[WhatIf]) -> str:
             [
                 entry.change,
                 after.name,
-                starred(entry.before, f"{entry.before.expected_s:.1f}"),
-                starred(after, f"{after.expected_s:.1f}"),
+                marked(entry.before, f"{entry.before.expected_s:.1f}"),
+                marked(after, f"{after.expected_s:.1f}"),
                 f"{after.expected_low_s:.1f}-{after.expected_high_s:.1f}",
                 f"{saved:z.1f} ({low:z.1f} to {high:z.1f})",
             ]
@@ -93,11 +91,11 @@ def _table(found: Sequence[WhatIf]) -> str:
 
 
 def _limits(found: Sequence[WhatIf]) -> str:
-    """Return every warning with its change and sequences; doubts are printed below the table."""
+    """Return every limit with its change and sequences."""
     about: dict[tuple[str, str], list[str]] = {}
     for entry in found:
-        for text in entry.after.warnings:
-            if text not in (entry.safety, *entry.after.doubts):
+        for text in entry.after.limits:
+            if text != entry.safety:
                 about.setdefault((entry.change, text), []).append(entry.after.name)
     every = len({entry.after.name for entry in found})
     shown = {key: "all sequences" if len(names) == every > 1 else ", ".join(names) for key, names in about.items()}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, overload
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.finding import Finding, light_of, merged
 from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.result import SPLIT, CycleEstimate
 from cyclekit.text.plain_text import csv_text
@@ -117,9 +118,9 @@ class CycleEstimates(Answers[CycleEstimate]):
         return self[0].check if self.answers else None
 
     @property
-    def alarms(self) -> tuple[str, ...]:
-        """Warnings to show above the numbers, one sentence each."""
-        return tuple(dict.fromkeys(one.check.alarm for one in self if one.check and one.check.alarm))
+    def findings(self) -> tuple[Finding, ...]:
+        """What is known about the basis of the numbers, the worst first: the traffic light above them."""
+        return merged(one.findings for one in self)
 
     def plot(self) -> Drawing:
         """Return a time chart of the sequences (mean times) as a matplotlib figure."""
@@ -128,7 +129,7 @@ class CycleEstimates(Answers[CycleEstimate]):
     def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values."""
         return {
-            "warnings": list(self.alarms),
+            **light_of(self.findings),
             "sequences": [one.to_dict() for one in self],
             "refused": [one.to_dict() for one in self.refused],
             "check": self.check.to_dict() if self.check else None,

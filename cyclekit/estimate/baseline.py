@@ -232,7 +232,7 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str, *, both: bo
     places = next(tuple(one.places) for one in dataset.card.executions if one.execution == names[0])
     return CycleEstimate(
         title, places, float(cycles_s.mean()), low_s, high_s, quantiles, **split,
-        support=1.0, tracks=len(each), warnings=(), tasks=shares, safety_by_activity_s={},
+        support=1.0, tracks=len(each), limits=(), tasks=shares, safety_by_activity_s={},
         durations_s=tuple(cycles_s.tolist()), estimator="logged", why="logged executions", executions=len(each),
         operator_at={} if plan else _operator_at(dataset, names, begins_s, float(cycles_s.mean())),
         plan=plan, idle_s=max(float(cycles_s.mean()) - sum(split.values()), 0.0),
@@ -274,7 +274,7 @@ def listed_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
     quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if len(runs) > 1 else {}
     return CycleEstimate(
         title, (), mean_s, low_s, high_s, quantiles, work_s, 0.0, 0.0, wait_s,
-        support=1.0, tracks=0, warnings=(), tasks=(), safety_by_activity_s={}, durations_s=tuple(cycles_s.tolist()),
+        support=1.0, tracks=0, limits=(), tasks=(), safety_by_activity_s={}, durations_s=tuple(cycles_s.tolist()),
         estimator="logged", why="logged executions", executions=len(runs),
         plan=tuple(sorted(plan, key=lambda share: share.start_s)),
     )  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from cyclekit.estimate.cycle.estimators import ESTIMATORS
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
 from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.soundness import MIN_SUPPORT
 from cyclekit.estimate.statistics.resample import least_wide, share_within
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from cyclekit.estimate.validation.question import Question
     from cyclekit.schema import Floats, Vector
 
-MIN_SUPPORT = 0.5
-"""Minimum share of the cycle in logged positions; below it the estimate is refused."""
 TOLD = 0.005
 """Minimum weight of logged task durations that the text mentions."""
 
@@ -75,7 +74,7 @@ def entry_of(
         wait_s=sum(share.wait_s for share in shares),
         support=cycles.support,
         tracks=len(durations) if tracks else 0,
-        warnings=(),
+        limits=(),
         tasks=shares,
         safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
         durations_s=tuple(durations.tolist()),

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError
-from cyclekit.estimate.entry import MIN_SUPPORT
+from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.robot.nominal import slider_losses
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.robot.work_dwells import MIN_EXECUTIONS, either_kind, said_of_places
+from cyclekit.estimate.soundness import MIN_SUPPORT
 from cyclekit.estimate.validation.check import Check, check_rollout
 from cyclekit.learning.signal_inputs import left_out
 from cyclekit.learning.windows import nobody_there
@@ -41,8 +41,7 @@ CONTINUED = 0.5
 """Share of the time on continued tracks above which the estimate reports it."""
 ENDLESS = "The operator keeps the robot at speed 0 %; check the tracker's frame and clock."
 """Cure for cycles that do not end."""
-FEW_EXECUTIONS = 20
-"""Number of operator tracks below which the mean is reported as uncertain (by more than 1 % in the cells so far)."""
+COARSE = "coarse estimate from the table of arrivals, one of many sequences; support and activities are not known"
 
 
 def no_answer(
@@ -61,30 +60,14 @@ def no_answer(
     return None
 
 
-def doubts_of(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list[str]:
-    """Return reasons to doubt the number of one sequence, one sentence each."""
-    found = []
-    if entry.tracks and entry.estimator == "rollout" and not cycles.simulated:
-        found.append(
-            "coarse estimate from the table of arrivals, one of many sequences: estimate it alone for an exact one; "
-            "support and activities are not known"
-        )
-    return [*found, *extrapolation_of(entry), *(check.doubts if check is not None else ())]
+def coarse_of(cycles: Rolled, entry: CycleEstimate) -> list[Finding]:
+    """Return a finding if a rollout was looked up in the table of arrivals."""
+    looked_up = entry.tracks and entry.estimator == "rollout" and not cycles.simulated
+    return [Finding("coarse", "amber", COARSE, "estimate it alone", covered=False)] if looked_up else []
 
 
-def extrapolation_of(entry: CycleEstimate) -> list[str]:
-    """Return a sentence on extrapolation if more than a tenth of the cycle runs through positions never logged."""
-    if not entry.support < 0.9:
-        return []
-    marked = "EXTRAPOLATED: " if entry.extrapolated else ""
-    return [
-        f"{marked}{1 - entry.support:.0%} of the cycle runs through positions that were never logged; the error "
-        "there is unknown, and not in the interval of the mean"
-    ]
-
-
-def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[CycleEstimate, list[str], list[str]]:
-    """Return the estimate of these tasks, doubts and limits, where standstills depend on the work of the cycle.
+def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[CycleEstimate, list[Finding], list[str]]:
+    """Return the estimate of these tasks, findings and limits, where standstills depend on the work of the cycle.
 
     If too few executions of its work were logged, the standstills are those of all works: then the intervals are
     widened to the mean standstills of the works with the shortest and with the longest ones.
@@ -118,23 +101,16 @@ def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[Cycle
         "log executions of this order"
         for said in said_of_places({task.task: task.by_work for task in pooled if _of_kinds(task)})
     ]
-    return widened, doubts, limits
+    return widened, [Finding("work", "amber", text) for text in doubts], limits
 
 
 def _of_kinds(task: NominalTask) -> bool:
     return either_kind(task.by_work) is not None
 
 
-def few_tracks(entry: CycleEstimate) -> str:
-    """Return a sentence on the few executions behind a number that show the operator."""
-    return f"based on only {entry.executions} executions that show the operator: the mean itself is uncertain"
-
-
 def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
     """Return the other limits of one sequence's number, one sentence each."""
     found = []
-    if entry.tracks and entry.executions < FEW_EXECUTIONS:
-        found.append(few_tracks(entry))
     anywhere = entry.tracks > entry.executions  # half of a cycle as long as a log runs with other executions' operators
     if cycles.spliced > ((1.0 + CONTINUED) / 2.0 if anywhere else CONTINUED):
         found.append(
@@ -182,12 +158,6 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel, used: Collection[str] |
         )
         found.append(f"{most}; the estimate is for full slider")
     found += [one.text for one in dataset.card.warnings if one.code == "executions-interrupted"]
-    if any(one.code == "frame-doubtful" for one in dataset.card.warnings) and not isinstance(model, OnStates):
-        found.append("the tracker's frame is probably wrong (`cyclekit inspect DATASET` proposes another one)")
-    if any(record.clock.method == ASSUMED for record in dataset.recordings):
-        found.append("the clocks of robot and tracker are assumed to start together, not aligned")
-    if any(record.clock.method in ("coarse", "start-text") for record in dataset.recordings):
-        found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")
     return found
 
 
@@ -203,12 +173,12 @@ _OWN = (
 
 def validated(
     model: SafetyModel, dataset: Dataset, *, levels: Sequence[float] = (0.05, 0.5, 0.95), seed: int
-) -> tuple[Check | None, tuple[str, ...]]:
-    """Return the validation on logged executions; None, and the reason as a sentence, if there are too few."""
+) -> tuple[Check | None, str]:
+    """Return the validation on logged executions; None, and the reason, if there are too few."""
     try:
-        return check_rollout(model, dataset, levels=levels, seed=seed), ()
+        return check_rollout(model, dataset, levels=levels, seed=seed), ""
     except EstimateError as error:
-        return None, (f"not validated on logged executions, so no bias is known or corrected: {error.seen}",)
+        return None, error.seen
 
 
 def refuse_biased(check: Check | None, *, own: bool = False) -> None:

@@ -9,6 +9,7 @@ import statistics
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from cyclekit.estimate.finding import doubts_of, worst
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import PlannedTask
     from cyclekit.dataset.cards import OperatorPaceCard
     from cyclekit.dataset.cards.task_model import PaceCard
+    from cyclekit.estimate.finding import Finding, Level
     from cyclekit.estimate.validation.check import Check
     from cyclekit.estimate.validation.history import Combined
     from cyclekit.plots.drawing import Drawing
@@ -114,8 +116,7 @@ class CycleEstimate(Result):
         nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`, with `idle_s` for a plan of both agents.
         support: Share of the rolled-out time with robot and operator positions near logged samples.
         tracks: Number of operator tracks behind the estimate.
-        doubts: Reasons to doubt the number itself, one sentence each: shown with it.
-        warnings: The doubts, and the other limits of the number.
+        limits: Limits of the number that need no attention, one sentence each.
         tasks: The split per task, in order.
         safety_by_activity_s: Mean safety loss per operator activity (human task), seconds, where known.
         durations_s: Cycle time on each track, seconds, in the order of the logged executions.
@@ -130,6 +131,7 @@ class CycleEstimate(Result):
             (`cyclekit.estimate.statistics.same_work`), by name, over common resampled executions.
         extrapolated: Whether most of the cycle runs through positions that were never logged.
         operator: Requested order of the operator's tasks; None if left open.
+        findings: What is known about the basis of the number, each with a level: the traffic light above it.
         check: The validation on logged executions that corrected the estimate; None without one.
         combined: The rollout and the sum of logged task durations, whose weighted mean the estimate is; None if it is
             one of them.
@@ -157,7 +159,7 @@ class CycleEstimate(Result):
     wait_s: float
     support: float
     tracks: int
-    warnings: tuple[str, ...]
+    limits: tuple[str, ...]
     tasks: tuple[TaskShare, ...]
     safety_by_activity_s: Mapping[str, float]
     durations_s: tuple[float, ...]
@@ -170,7 +172,7 @@ class CycleEstimate(Result):
     beats: Mapping[str, float] = field(default_factory=dict)
     extrapolated: bool = False
     operator: tuple[str, ...] | None = None
-    doubts: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     check: Check | None = field(default=None, repr=False)
     combined: Combined | None = None
     plan: tuple[PlannedShare, ...] = ()
@@ -179,6 +181,21 @@ class CycleEstimate(Result):
     asked: tuple[PlannedTask, ...] = field(default=(), repr=False)
     pace: tuple[OperatorPaceCard | PaceCard, ...] = field(default=(), repr=False)
     mean_pace_s: float | None = None
+
+    @property
+    def level(self) -> Level:
+        """Level of the worst finding: red, and the number cannot be trusted."""
+        return worst(self.findings)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """The amber and red findings with their cures, one sentence each."""
+        return doubts_of(self.findings)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The doubts, and the other limits of the number."""
+        return (*self.doubts, *self.limits)
 
     @property
     def per_visit_s(self) -> float:
@@ -215,8 +232,10 @@ class CycleEstimate(Result):
         out = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in vars(self).items()
-            if name not in ("check", "asked", "pace")
+            if name not in ("check", "asked", "pace", "limits")
         }
+        out |= {"doubts": list(self.doubts), "warnings": list(self.warnings), "level": self.level}
+        out["findings"] = [one.to_dict() for one in self.findings]
         out["tasks"] = [dict(vars(task)) for task in self.tasks]
         out["plan"] = [dict(vars(task)) for task in self.plan]
         out["quantiles_s"] = {f"{level:g}": value for level, value in self.quantiles_s.items()}

@@ -21,7 +21,7 @@ from cyclekit.estimate.entry import entry_of
 from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.limits import (
-    doubts_of,
+    coarse_of,
     limits_of_cycles,
     limits_of_logs,
     no_answer,
@@ -33,8 +33,8 @@ from cyclekit.estimate.operator.tracks import OperatorTracks
 from cyclekit.estimate.ranked import Unranked, ranked
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.robot.program import Program, lay_out
-from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.robot.signal_states import on_states_of
+from cyclekit.estimate.soundness import findings_of
 from cyclekit.estimate.statistics.resample import TOGETHER, resampled
 from cyclekit.estimate.validation.means import (
     BesideRollout,
@@ -138,7 +138,7 @@ def _estimate_robot(
     programs = _laid_out(sequences, nominal, dataset, refuse)
     if not programs:
         return []
-    unknown: tuple[str, ...] = ()
+    unknown = ""
     if isinstance(check, JointCheck):  # the bias of another kind of rollout
         check = None
     if chosen != "rollout":
@@ -151,7 +151,7 @@ def _estimate_robot(
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     if check and check.operator and check.operator.said:
         limits.append(check.operator.said)
-    unseen = model.doubts if chosen == "rollout" and isinstance(model, OnStates) else ()
+    shown = dataset if ESTIMATORS[chosen].needs is not None else None
     effect, visits = order_effect_for(ask), visit_effect_for(ask)
     found: list[Unranked] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
@@ -168,9 +168,13 @@ def _estimate_robot(
             mean = means_of(ask, sequence, cycles, weights, level, pooled)
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
             entry, of_other_work, of_work = with_work(entry, tasks)
-            doubts = (*unseen, *of_other_work, *doubts_of(cycles, entry, check), *unknown)
+            known = findings_of(
+                model, check, shown, executions=entry.executions if entry.tracks else 0, support=entry.support,
+                validated=unknown if chosen == "rollout" and altered is None else None,
+            )  # fmt: skip
+            findings = (*of_other_work, *coarse_of(cycles, entry), *known)
             mine_alone = (*of_work, *limits_of_cycles(cycles, entry))
-            entry = replace(entry, doubts=doubts, warnings=(*doubts, *mine_alone, *limits))
+            entry = replace(entry, findings=findings, limits=(*mine_alone, *limits))
             found.append(Unranked(entry, mean.resampled_s, last=not cycles.simulated))
     tell(1.0, "done")
     return found

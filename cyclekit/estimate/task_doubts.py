@@ -5,33 +5,32 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from cyclekit.estimate.finding import Finding
 from cyclekit.learning.task_times.prepared import agent_of, prepared
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cyclekit.config.sequences import TaskSequence
-    from cyclekit.dataset.cards.task_model import TaskModelCard
+    from cyclekit.dataset.cards.task_model import HeldOutCard, TaskModelCard
 
 MAX_ERROR = 0.1
-"""Maximum bias, and spread of errors over orders, on held-out orders without a doubt."""
+"""Maximum bias, and spread of errors over orders, on held-out orders, above which a number cannot be trusted."""
 SHOWN = 3
 """Maximum number of examples in a sentence."""
 
 
-def doubts_of_plan(model: TaskModelCard, sequence: TaskSequence) -> tuple[str, ...]:
-    """Return the doubts about the cycle time of a plan, one sentence each.
+NOT_JUDGED = "too few executions to validate on held-out orders: the intervals are those of the rollout alone"
+
+
+def findings_of_plan(model: TaskModelCard, sequence: TaskSequence) -> tuple[Finding, ...]:
+    """Return what is known about the basis of the cycle time of a plan.
 
     Args:
         model: Task times learned from task lists, which know all tasks of the plan.
         sequence: The plan.
     """
-    found, judged = [], model.held_out
-    if judged and max(abs(judged.bias), judged.order_error) > MAX_ERROR:
-        found.append(
-            f"held-out orders were {judged.bias:+.0%} off on average, with a spread of {judged.order_error:.0%}: "
-            "something that decides the times was not learned"
-        )
+    found: list[Finding] = []
     names = [(agent_of(model, task, sequence.shown), task.name) for task in sequence.plan]
     joint = [(card, card.joint) for card in model.tasks if card.joint]
     alone = [
@@ -40,8 +39,19 @@ def doubts_of_plan(model: TaskModelCard, sequence: TaskSequence) -> tuple[str, .
         if names.count((card.agent, card.task)) > names.count((other.agent, other.task))
     ]
     if alone:
-        found.append(f"{sequence.shown}: logged only as a joint task, and here not as often: {_some(alone)}")
-    return (*found, *_waits_without_task(model, sequence, names))
+        text = f"{sequence.shown}: logged only as a joint task, and here not as often: {_some(alone)}"
+        found.append(Finding("joint-tasks", "amber", text))
+    waits = (Finding("waits-left-out", "amber", text) for text in _waits_without_task(model, sequence, names))
+    return (_judged(model.held_out), *found, *waits)
+
+
+def _judged(judged: HeldOutCard | None) -> Finding:
+    if judged is None:
+        return Finding("backtest", "amber", NOT_JUDGED, covered=False)
+    text = f"held-out orders were {judged.bias:+.0%} off on average, with a spread of {judged.order_error:.0%}"
+    if max(abs(judged.bias), judged.order_error) <= MAX_ERROR:
+        return Finding("backtest", "green", text)
+    return Finding("backtest", "red", text, "something that decides the times was not learned")
 
 
 def _waits_without_task(

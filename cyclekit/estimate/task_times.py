@@ -13,7 +13,7 @@ from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, Task
 from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, conformal, most_outside
 from cyclekit.estimate.statistics.resample import Z95, least_wide
 from cyclekit.estimate.statistics.same_work import by_work
-from cyclekit.estimate.task_doubts import doubts_of_plan, never_in_a_row, planned_starts_not_kept
+from cyclekit.estimate.task_doubts import findings_of_plan, never_in_a_row, planned_starts_not_kept
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, roll_plan
 from cyclekit.learning.task_times.runs import FAILED
@@ -33,7 +33,6 @@ WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
 AT_MEAN_PACE = "at the mean pace of the logged executions {s:.1f} s: compare past executions with that"
 LOG_IT = "Log executions with it and train again, or leave it out."
-NOT_JUDGED = "too few executions to validate on held-out orders: the intervals are those of the rollout alone"
 
 
 def estimate_plans(
@@ -93,7 +92,6 @@ def _estimated(
     nominal, beside, waited = (sum(getattr(share, part) for share in mine) for part in parts)
     within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * Z95))
     within = within and least_wide(within, model.executions)
-    doubts = doubts_of_plan(model, sequence)
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,
@@ -107,11 +105,9 @@ def _estimated(
         wait_s=waited,
         support=float("nan"),
         tracks=0,
-        doubts=doubts,
-        warnings=(
-            *doubts,
+        findings=findings_of_plan(model, sequence),
+        limits=(
             NOT_KNOWN,
-            *(() if judged else (NOT_JUDGED,)),
             *model.notices,
             *([AT_MEAN_PACE.format(s=at_mean_pace * expected)] if model.pace else []),
             *_left_out(model),

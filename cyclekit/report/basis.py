@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from cyclekit.estimate.finding import doubts_of
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.what_to_log import ENOUGH, WITHIN
 from cyclekit.report.numbers import count, fixed, percent
@@ -40,7 +41,16 @@ def _rollout(texts: ReportTexts, check: Check) -> ReportTable:
     ]
     heads, title = [texts("trust.metric"), texts("trust.value")], texts("trust.rollout")
     said = texts("trust.rollout_text")
-    return ReportTable(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, items=check.doubts)
+    return ReportTable(
+        title,
+        heads,
+        rows,
+        frozenset({1}),
+        silent=True,
+        title=title,
+        text=said,
+        items=doubts_of(check.findings),
+    )
 
 
 def _support(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTable:

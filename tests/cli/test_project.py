@@ -319,7 +319,7 @@ def test_an_interval_of_the_gate_holds_its_share_and_has_a_width(inside: int, ex
     within = least_wide((share, share, share), executions)
     zero = dict.fromkeys(("expected_low_s", "expected_high_s", "nominal_s", "safety_loss_s", "dwell_s", "wait_s"), 0.0)
     one = CycleEstimate(
-        name="a", places=("x", "y"), expected_s=1.0, quantiles_s={}, support=1.0, tracks=1, warnings=(), tasks=(),
+        name="a", places=("x", "y"), expected_s=1.0, quantiles_s={}, support=1.0, tracks=1, limits=(), tasks=(),
         safety_by_activity_s={}, durations_s=(), executions=executions, takt_probability=within, **zero,
     )  # fmt: skip
     (row,) = GateVerdict(1.0, asked, False, CycleEstimates((one,))).to_dict()["sequences"]

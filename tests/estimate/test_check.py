@@ -15,6 +15,7 @@ from scipy import stats
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import SplitCard, TrainingCard
 from cyclekit.estimate.cycle import walk as walking
+from cyclekit.estimate.finding import doubts_of, worst
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.statistics.bias import bias_of, half_width_95
 from cyclekit.estimate.statistics.conformal import conformal
@@ -35,7 +36,7 @@ def test_logged_executions_come_out_right_beside_their_own_operators(logged: Dat
     assert (found.executions, found.held_out) == (16, 4)
     assert abs(found.own_bias) < 0.003
     assert found.coverage > 0.6
-    assert found.doubts == ()
+    assert worst(found.findings) == "green"
     assert found.to_dict()["levels"] == [0.05, 0.95]
 
 
@@ -57,7 +58,7 @@ def test_fewer_executions_than_were_logged_judge_the_rollout_alike(logged: Datas
 def test_a_wrong_safety_function_is_told(logged: Dataset, constant: Any):
     found = check_rollout(constant(0.9), logged)
     assert found.own_bias < -0.1
-    assert any("backtest with their own operators" in text for text in found.doubts)
+    assert any("backtest with their own operators" in text for text in doubts_of(found.findings))
 
 
 def crossing(count: int, reaction_s: float) -> Check:
@@ -70,8 +71,8 @@ def crossing(count: int, reaction_s: float) -> Check:
 
 
 def test_an_operator_who_minds_the_robot_is_found_out():
-    assert crossing(100, 0.0).doubts == ()
-    assert any("react to the robot" in text for text in crossing(100, 4.0).doubts)
+    assert worst(crossing(100, 0.0).findings) == "green"
+    assert any("react to the robot" in text for text in doubts_of(crossing(100, 4.0).findings))
 
 
 def test_a_bias_that_is_no_chance_is_taken_out_and_the_parts_still_add_up(logged: Dataset, staircase: Any, routes: Any):

@@ -16,12 +16,14 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.cycle.transit import transit_table
 from cyclekit.estimate.cycle.walk import Rolled, roll_all, roll_out
-from cyclekit.estimate.limits import doubts_of, limits_of_cycles
+from cyclekit.estimate.finding import Finding
+from cyclekit.estimate.limits import limits_of_cycles
 from cyclekit.estimate.operator.tracks import ENTRIES, operator_tracks
 from cyclekit.estimate.ranked import Unranked, ranked
 from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.program import lay_out
 from cyclekit.estimate.rollout import estimate as estimate_validated
+from cyclekit.estimate.soundness import findings_of
 from cyclekit.estimate.statistics.resample import wilson
 
 if TYPE_CHECKING:
@@ -172,12 +174,11 @@ def test_a_cycle_of_more_than_two_logs_is_said_to_go_on_with_others(tracks: int,
 
 
 def test_what_was_never_logged_is_a_doubt_that_says_what_the_interval_leaves_out(logged: Dataset, staircase: Any):
-    (entry,) = estimate(staircase, logged, [TaskSequence("A", ("home", "conveyor"))])
-    cycles = Rolled(np.ones(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros(0), 0.7, 0.0)
-    entry = replace(entry, support=cycles.support)
-    (said,) = doubts_of(cycles, entry, None)
-    assert "30% of the cycle" in said
-    assert "not in the interval of the mean" in said
-    (said,) = doubts_of(cycles, replace(entry, extrapolated=True), None)
-    assert said.startswith("EXTRAPOLATED")
-    assert doubts_of(cycles, replace(entry, support=0.95), None) == []
+    def support_of(share: float) -> Finding:
+        return findings_of(staircase, None, logged, executions=40, support=share)[-1]
+
+    assert "30% of the cycle" in support_of(0.7).text
+    assert "not in the interval of the mean" in support_of(0.7).text
+    assert (support_of(0.7).level, support_of(0.7).blocks) == ("amber", True)
+    assert support_of(0.4).text.startswith("EXTRAPOLATED")
+    assert [support_of(share).level for share in (0.4, 0.95)] == ["red", "green"]

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.finding import doubts_of
 from cyclekit.estimate.joint.check import JointCheck, judge_joint, widening, with_every_visit
 from cyclekit.estimate.joint.legs import Gates, operator_agenda, robot_agenda
 from cyclekit.estimate.joint.repetitions import cycles_per_resample, repetitions
@@ -79,7 +80,7 @@ def test_errors_that_depend_on_the_order_widen_the_interval(
     errors = 1.0 + by_order * np.linspace(-1.5, 1.5, orders) / np.linspace(-1.5, 1.5, orders).std()
     logged = 100.0 * np.resize(errors, 60) * rng.normal(1.0, 0.03, 60)
     found = _judged(monkeypatch, logged, 100.0 * rng.normal(1.0, 0.03, (60, 60)), names)
-    doubted = any("depends on the order was not learned" in doubt for doubt in found.doubts)
+    doubted = any("depends on the order was not learned" in doubt for doubt in doubts_of(found.findings))
     assert doubted is (by_order > 0.0 and orders == 4)
     assert found.by_order == pytest.approx(0.075 if doubted else 0.0, abs=0.015)
     assert (found.model_error > 0.05) is doubted
@@ -167,7 +168,7 @@ def test_waits_that_depend_on_the_time_away_differ_by_the_order() -> None:
     assert found == pytest.approx((waits.mean(), waits.std(ddof=1)))
     check = judged(unexplained_s=found.wait_s, unseen_error=found.by_order_s / 50.0)
     assert check.model_error > found.by_order_s / 50.0
-    assert "no condition explains" in check.doubts[-1]
+    assert "no condition explains" in check.findings[-1].text
     assert unexplained_waits(waited(9.0, away, waited_for="part set"), names, 50.0) == (0.0, 0.0)
 
 

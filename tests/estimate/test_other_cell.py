@@ -13,6 +13,7 @@ from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import BadCard, CellCard, TrainingCard, checked, dataset_card, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
+from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.limits import refuse_biased
 from cyclekit.estimate.plan import Jobs, plan
@@ -133,6 +134,10 @@ def test_estimate_plan_and_what_if_refuse_and_answer_where_it_is_meant(logged: D
     assert nominal.safety_loss_s == 0.0
 
 
+def of_bias(check: Check) -> Finding:
+    return next(one for one in check.findings if one.code == "bias")
+
+
 BIASED = Check(40, 8, 0.2, 0.01, 0.2, 0.0, (0.0,) * 40, 0.9, None, (0.05, 0.95))
 
 
@@ -154,10 +159,12 @@ def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_
     refuse_biased(replace(BIASED, own_error=0.07))  # chance
     warned = replace(BIASED, own_bias=0.05)
     refuse_biased(warned)
-    assert warned.alarm is not None
-    assert "+5.0%" in warned.alarm
-    assert replace(warned, own_error=0.02).alarm is None
-    assert replace(warned, own_bias=0.02).alarm is None
+    assert "+5.0%" in of_bias(warned).text
+    levels = [
+        of_bias(replace(warned, **off)).level
+        for off in ({}, {"own_error": 0.02}, {"own_bias": 0.02, "own_error": 0.005})
+    ]
+    assert levels == ["red", "green", "amber"]
 
 
 def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dataset, constant: Any):
@@ -166,7 +173,7 @@ def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dat
         estimate(constant(1.0), logged, [sequence], extrapolate=True)
     (found,) = estimate(constant(1.0), logged, [sequence], extrapolate=True, other_cell=True)
     assert found.check is not None
-    assert found.check.alarm is not None
+    assert of_bias(found.check).level == "red"
 
 
 def test_a_model_knows_the_logs_that_it_was_trained_on(logged: Dataset):

@@ -11,7 +11,8 @@ from cyclekit import TaskSequence, estimate_cycles, train_task_times
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import NeedCard
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.task_doubts import doubts_of_plan
+from cyclekit.estimate.finding import doubts_of
+from cyclekit.estimate.task_doubts import findings_of_plan
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.saved import TaskTimesModel
 
@@ -63,11 +64,11 @@ def test_a_wait_for_a_task_that_the_plan_lacks_is_named(learned) -> None:
     tasks = tuple(structs.replace(one, needs=(need,), joint=None) for one in model.card.tasks if one.task == "take")
     card = structs.replace(model.card, tasks=(*tasks, *(one for one in model.card.tasks if one.task != "take")))
     said = "wait of human: take for arm: offer: left out {}, the plan has no such task then"
-    assert doubts_of_plan(card, plan("take")) == ()  # the first needs none
-    assert doubts_of_plan(card, plan("take", "take")) == (said.format("once"),)
-    assert doubts_of_plan(card, plan("take", "take", "take")) == (said.format("twice"),)
-    assert said.format("once") in doubts_of_plan(card, plan("take", "take", "take", "offer"))
-    assert not any("wait of" in doubt for doubt in doubts_of_plan(card, plan("take", "take", "offer")))
+    assert doubts_of(findings_of_plan(card, plan("take"))) == ()  # the first needs none
+    assert doubts_of(findings_of_plan(card, plan("take", "take"))) == (said.format("once"),)
+    assert doubts_of(findings_of_plan(card, plan("take", "take", "take"))) == (said.format("twice"),)
+    assert said.format("once") in doubts_of(findings_of_plan(card, plan("take", "take", "take", "offer")))
+    assert not any("wait of" in doubt for doubt in doubts_of(findings_of_plan(card, plan("take", "take", "offer"))))
 
 
 def test_a_task_never_logged_is_refused_with_a_cure(learned) -> None:

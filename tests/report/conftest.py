@@ -16,7 +16,7 @@ def dataset(tmp_path_factory):
 @pytest.fixture(scope="session")
 def written(dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("page") / "report.html"
-    ranked = [estimate("B first", 33.0), estimate("A first", 30.0), estimate("C first", 30.8, warnings=("Thin logs.",))]
+    ranked = [estimate("B first", 33.0), estimate("A first", 30.0), estimate("C first", 30.8, limits=("Thin logs.",))]
     return compose_report(dataset, DistanceModel(), out, estimates=ranked, evaluation=Judgement(), cell_name="Cell 7")
 
 

@@ -31,7 +31,7 @@ PLANNED = OrderPlan(
 
 
 def changed(saves_s=(3.0, 2.4, 3.6), name="A first", **changes):
-    after = estimate(name, 27.0, warnings=("motions are bent", NO_PROOF), **changes)
+    after = estimate(name, 27.0, limits=("motions are bent", NO_PROOF), **changes)
     return WhatIf("table 0.3 m back", estimate(name, 30.0), after, saves_s)
 
 

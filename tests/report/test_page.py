@@ -184,8 +184,8 @@ def test_drawing_is_told_picture_by_picture(dataset, tmp_path):
 
 def test_what_limits_several_sequences_is_said_once(dataset, tmp_path):
     ranked = [
-        estimate("A first", warnings=("Thin logs.",)),
-        estimate("B first", 33.0, warnings=("Thin logs.", "Bent.")),
+        estimate("A first", limits=("Thin logs.",)),
+        estimate("B first", 33.0, limits=("Thin logs.", "Bent.")),
     ]
     compose_report(dataset, None, tmp_path / "r.html", estimates=ranked)
     page = (tmp_path / "r.html").read_text("utf-8")

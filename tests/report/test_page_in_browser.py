@@ -52,7 +52,7 @@ def estimates():
     one = CycleEstimate(
         name="A first", places=("conveyor",), expected_s=96.0, expected_low_s=95.0, expected_high_s=97.0,
         quantiles_s={0.05: 90.0, 0.5: 96.0, 0.95: 103.0}, nominal_s=36.0, safety_loss_s=36.0, dwell_s=24.0, wait_s=0.0,
-        support=0.97, tracks=40, warnings=(), tasks=tasks, safety_by_activity_s={"shelf": 20.0, "desk": 16.0},
+        support=0.97, tracks=40, limits=(), tasks=tasks, safety_by_activity_s={"shelf": 20.0, "desk": 16.0},
         durations_s=tuple(float(v) for v in range(86, 106)),
     )  # fmt: skip
     return [

@@ -63,7 +63,7 @@ def estimate(name="A first", mean_s=30.0, half_s=0.6, **changes):
         "wait_s": 0.0,
         "support": 0.97,
         "tracks": 40,
-        "warnings": (),
+        "limits": (),
         "tasks": tasks,
         "safety_by_activity_s": {"shelf": 4.0},
         "durations_s": (mean_s,) * 3,

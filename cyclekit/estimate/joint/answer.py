@@ -10,7 +10,7 @@ import numpy as np
 
 from cyclekit.config.sequences import PLAN
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.entry import MIN_SUPPORT
+from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.joint.check import JointCheck, judge_joint
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import cycles_per_resample
@@ -19,9 +19,6 @@ from cyclekit.estimate.joint.shares import operator_shares, planned_shares, task
 from cyclekit.estimate.joint.stop_overs import with_stop_overs
 from cyclekit.estimate.joint.unended import waits_without_source, waits_without_task
 from cyclekit.estimate.limits import (
-    FEW_EXECUTIONS,
-    extrapolation_of,
-    few_tracks,
     limits_of_logs,
     no_answer,
     refuse_biased,
@@ -30,7 +27,7 @@ from cyclekit.estimate.limits import (
 from cyclekit.estimate.ranked import Unranked
 from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
-from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.soundness import FEW_EXECUTIONS, MIN_SUPPORT, findings_of
 from cyclekit.estimate.statistics.resample import drawn_errors, interval_of_mean, least_wide, share_within
 from cyclekit.estimate.validation.question import Altered, Question
 from cyclekit.learning.networks.cell import trained_on
@@ -53,7 +50,7 @@ CYCLES, OF_MANY, MANY, BEST = 1000, 120, 40, 12
 WHY = "both agents rolled out together: learned safety function, logged walks and stays, who waits for whom"
 WHY_ALONE = "robot rolled out with learned waits for signals, beside the logged speed or courses of people"
 RESAMPLES = 1000
-NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
+NOT_JUDGED = "too few of them can be rolled out"
 
 ALONE = (
     "the plan has no task of the operator: nobody slows the robot, and it waits for nobody; name his tasks, or give "
@@ -106,22 +103,22 @@ def estimate_both(
     judged = ask.check if isinstance(ask.check, JointCheck) else None
     if judged is None and validate and altered is None:
         judged = answers.check()
-    unknown = (NOT_JUDGED,) if judged is None and validate and altered is None else ()
     if not other_cell:
         refuse_biased(judged, own=trained_on(ask.model.card, dataset))
     found = answers.found(sequences, judged, refuse, tell)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model, cell.logged or None)]
-    unseen = cell.model.doubts if isinstance(cell.model, OnStates) else ()
     pace = () if cell.coupling is None or cell.coupling.pace is None else (cell.coupling.pace,)
     paced = [one.said for one in pace]
     entries = []
     for entry, means_s in found:
         entry, of_other_work, of_work = with_work(entry, _process_tasks(entry.places, nominal, cell))
-        doubts = (*unseen, *of_other_work, *entry.doubts, *extrapolation_of(entry), *(judged.doubts if judged else ()))
-        doubts += unknown
-        few = [few_tracks(entry)] if entry.executions < FEW_EXECUTIONS else []
-        warnings = (*doubts, *of_work, *few, *paced, *limits)
-        entries.append(Unranked(replace(entry, doubts=doubts, warnings=warnings, pace=pace), means_s))
+        known = findings_of(
+            cell.model, judged, dataset, executions=entry.executions, support=entry.support,
+            validated=None if altered is not None else NOT_JUDGED if validate else "",
+        )  # fmt: skip
+        findings = (*of_other_work, *entry.findings, *known)
+        entry = replace(entry, findings=findings, limits=(*of_work, *paced, *limits), pace=pace)
+        entries.append(Unranked(entry, means_s))
     tell(1.0, "done")
     return entries
 
@@ -287,7 +284,7 @@ class JointAnswers:
             **split,
             support=cycles.support,
             tracks=len(durations),
-            warnings=(),
+            limits=(),
             tasks=tuple(shares),
             safety_by_activity_s={name: lost for name, lost in cycles.activity_s.items() if lost > 0.0},
             durations_s=tuple(durations.tolist()),
@@ -304,20 +301,25 @@ class JointAnswers:
             plan=tuple(planned_shares(cycles, factor, band)),
             operator_at={} if len(cycles.operators) == 1 else operator_shares(cycles, expected / factor),
             idle_s=max(expected - sum(split.values()), 0.0),
-            doubts=tuple(_left_out(cycles, self._cell)),
+            findings=tuple(_left_out(cycles, self._cell)),
         )
         return entry, means
 
 
-def _left_out(cycles: RolledBoth, cell: JointCell) -> list[str]:
-    """Return the cycles and waits that the rollout of a plan leaves out, one sentence each."""
+def _left_out(cycles: RolledBoth, cell: JointCell) -> list[Finding]:
+    """Return findings on the cycles and waits that the rollout of a plan leaves out."""
     until_s, part = longest_s(cycles.plan), cycles.left_out
     ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
-    composed = [COMPOSED] if cycles.plan.composed else []
     unsourced = waits_without_source((cycles.plan.robot, *cycles.plan.operators), cell.coupling)
-    told = cycles.plan.both and waits_without_task(cycles.plan.robot, *cycles.plan.operators)
+    told = waits_without_task(cycles.plan.robot, *cycles.plan.operators) if cycles.plan.both else ()
     alone = [ALONE] if cycles.plan.both and not cell.unseen and not cycles.plan.operators[0].tasks else []
-    return [*alone, *([ended] if part else []), *composed, *unsourced, *(told or ())]
+    by_code = {
+        "operator-left-out": alone,
+        "cycles-left-out": [ended] if part else [],
+        "composed": [COMPOSED] if cycles.plan.composed else [],
+        "waits-left-out": [*unsourced, *told],
+    }
+    return [Finding(code, "amber", text) for code, texts in by_code.items() for text in texts]
 
 
 def _slowed(shares: Sequence[TaskShare], factor: float) -> list[TaskShare]:

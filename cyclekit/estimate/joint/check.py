@@ -10,6 +10,7 @@ import polars as pl
 from scipy.special import stdtrit
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import repetitions
 from cyclekit.estimate.joint.roll import longest_s
@@ -105,19 +106,21 @@ class JointCheck(Check):
         return abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Reasons to doubt the rollout, one sentence each."""
-        found = [*super().doubts]
+    def findings(self) -> tuple[Finding, ...]:
+        """As of `Check`, with what depends on the order and waits for something unknown."""
+        found = [*super().findings]
         if self.by_order:
-            found.append(
+            text = (
                 "something that depends on the order was not learned: logged orders differ from their rollouts beyond "
                 f"chance; the interval of the mean is wider by that (standard deviation {self.by_order:.1%})"
             )
+            found.append(Finding("order", "amber", text))
         if self.unexplained_s:
-            found.append(
+            text = (
                 f"the robot waits {self.unexplained_s:.1f} s in an execution for something that no condition explains; "
                 "in other orders it may wait longer or shorter, and the interval of the mean is wider by that"
             )
+            found.append(Finding("unexplained-waits", "amber", text))
         return tuple(found)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:

@@ -11,6 +11,8 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
+from cyclekit.estimate.finding import Finding
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -140,10 +142,11 @@ def with_stop_overs(
     names = " and ".join(dict.fromkeys(one.place for one in left_out))
     if by_order:
         said += f"the estimate includes that ({without.expected_s:.1f} s without it): name {names} in the sequence"
-        return replace(found, doubts=(said, *found.doubts)), means
+        return replace(found, findings=(Finding("stop-over", "amber", said), *found.findings)), means
     said += (
         f"with that the mean is {found.expected_s:.1f} s, and its interval covers both: name {names} in the sequence"
     )
     said += " if he goes there"
     low, high = min(without.expected_low_s, found.expected_low_s), max(without.expected_high_s, found.expected_high_s)
-    return replace(without, expected_low_s=low, expected_high_s=high, doubts=(said, *without.doubts)), asked[1]
+    findings = (Finding("stop-over", "amber", said), *without.findings)
+    return replace(without, expected_low_s=low, expected_high_s=high, findings=findings), asked[1]

@@ -14,6 +14,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
 from cyclekit.estimate.cycle.transit import TransitTable, transit_table
+from cyclekit.estimate.finding import Finding, light_of
 from cyclekit.estimate.joint.answer import waits_are_known
 from cyclekit.estimate.limits import ENDLESS, validated
 from cyclekit.estimate.operator.tracks import operator_tracks
@@ -66,7 +67,7 @@ class OrderPlan(Result):
         tried: Number of orders scored.
         executions: Number of logged executions behind the result.
         expected_low_s, expected_high_s: 95 % interval of `expected_s`.
-        doubts, alarm: Doubts and warning of its estimate.
+        findings: What is known about the basis of its estimate.
         unlogged: Tasks never logged with a known speed scaling; orders that need one were left out.
         notes: Limits of the answer, one sentence each.
         operator: The operator's places in order, if his order was searched too.
@@ -84,8 +85,7 @@ class OrderPlan(Result):
     executions: int
     expected_low_s: float = float("nan")
     expected_high_s: float = float("nan")
-    doubts: tuple[str, ...] = ()
-    alarm: str | None = None
+    findings: tuple[Finding, ...] = ()
     unlogged: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     operator: tuple[str, ...] | None = None
@@ -111,7 +111,8 @@ class OrderPlan(Result):
 
     def to_dict(self) -> dict[str, object]:
         """Return the plan as plain JSON values."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
+        plain = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
+        return plain | light_of(self.findings)
 
     def to_frame(self) -> pl.DataFrame:
         """Return one row per visit of the order found."""
@@ -189,8 +190,7 @@ def plan(
         executions=len(set(tracks.executions)),
         expected_low_s=found.expected_low_s,
         expected_high_s=found.expected_high_s,
-        doubts=found.doubts,
-        alarm=found.check.alarm if found.check else None,
+        findings=found.findings,
         unlogged=tuple(unlogged),
         notes=tuple(height_notes(dataset.samples(columns=["human_x_m", "human_z_m"]))),
     )
@@ -225,8 +225,7 @@ def _of_both(
         executions=found.executions,
         expected_low_s=found.expected_low_s,
         expected_high_s=found.expected_high_s,
-        doubts=found.doubts,
-        alarm=found.check.alarm if found.check else None,
+        findings=found.findings,
         unlogged=tuple(sorted(jobs.unlogged)),
         operator=operator or None,
     )

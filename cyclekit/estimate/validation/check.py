@@ -16,8 +16,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import bdtr, ndtr
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.operator.operator_model import OperatorModel, operator_model
 from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.robot.nominal import nominal_tasks
@@ -65,9 +67,11 @@ true safety function, in cells with ramps and hysteresis."""
 OWN_BIAS = 0.01
 """Minimum bias with the own operator tracks that is reported as a doubt, as a share of the duration."""
 ALARMING_BIAS = 0.03
-"""Minimum bias that is shown above the numbers, as a share of the duration."""
+"""Minimum bias at which a number cannot be trusted although it is corrected, as a share of the duration."""
 SURE = 3.0
-"""Threshold, standard errors: a larger bias is significant."""
+"""Threshold, standard errors: a larger bias is significant, and so is a lack of coverage."""
+LOOK = "clocks, frames and unknown causes in cyclekit inspect DATASET"
+"""Where to look for the cause of a bias."""
 
 
 @dataclass(frozen=True)
@@ -179,35 +183,38 @@ class Check:
         return abs(self.crossed_bias) if self._reacts else 0.0
 
     @property
-    def alarm(self) -> str | None:
-        """The bias in one sentence, if it is large enough to be shown above the numbers (ALARMING_BIAS)."""
-        if not self.biased(ALARMING_BIAS):
-            return None
-        return (
-            f"the model's bias is {self.own_bias:+.1%} (+-{self.own_within:.1%}) on {self.executions} logged "
-            f"executions; every duration is corrected by {self.factor - 1:+.1%}"
-        )
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """Reasons to doubt the rollout, one sentence each."""
-        found = []
-        if self.executions < FEW_EXECUTIONS:
-            found.append(f"{self.executions} logged executions are too few for reliable quantiles")
-        if self.biased(OWN_BIAS):
-            found.append(f"backtest with {self.with_own}: bias {self.own_bias:+.1%}")
+    def findings(self) -> tuple[Finding, ...]:
+        """What the comparison says of the rollout: its bias, its coverage, and whether the operator reacts."""
+        found = [self._bias_found, self._coverage_found]
         if self._reacts:
-            found.append(
+            text = (
                 f"backtest with the operators of all others: bias {self.crossed_bias:+.1%}; the operator "
                 "seems to react to the robot, which no rollout reproduces"
             )
-        wanted = self.levels[1] - self.levels[0]
-        scatter = (wanted * (1 - wanted) / max(self.executions, 1)) ** 0.5
-        if self.coverage is not None and self.coverage < wanted - 3 * scatter:
-            found.append(
-                f"only {self.coverage:.0%} of the logged executions lie in their {wanted:.0%} prediction intervals"
-            )
+            found.append(Finding("reacts", "amber", text))
         return tuple(found)
+
+    @property
+    def _bias_found(self) -> Finding:
+        text = f"backtest with {self.with_own}: bias {self.own_bias:+.1%}"
+        if not self.biased(OWN_BIAS):
+            return Finding("bias", "green", text)
+        text += f" (+-{self.own_within:.1%}) on {self.executions} logged executions"
+        text += f"; every duration is corrected by {self.factor - 1:+.1%}"
+        return Finding("bias", "red" if self.biased(ALARMING_BIAS) else "amber", text, f"{self.look_at} {LOOK}")
+
+    @property
+    def _coverage_found(self) -> Finding:
+        """The coverage is red if so few executions inside their intervals are no chance (SURE)."""
+        if self.coverage is None:
+            text = f"{self.executions} logged executions are too few for reliable quantiles"
+            return Finding("backtest", "amber", text, covered=False)
+        wanted = self.levels[1] - self.levels[0]
+        low = bdtr(round(self.coverage * self.executions), self.executions, wanted) < ndtr(-SURE)
+        text = f"{self.coverage:.0%} of the logged executions lie in their {wanted:.0%} prediction intervals"
+        if not low:
+            return Finding("backtest", "green", text)
+        return Finding("backtest", "red", f"only {text}", f"{self.look_at} {LOOK}")
 
     def residuals_of(self, count: int) -> Vector:
         """Return an error for each of `count` cycles, as a share: residuals minus their mean, repeated and shuffled."""
@@ -226,7 +233,7 @@ class Check:
         out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
         level = self.level.factor if self.level else None
         operator = self.operator.to_dict() if self.operator else None
-        return out | {"doubts": list(self.doubts), "operator": operator, "level": level}
+        return out | {"findings": [one.to_dict() for one in self.findings], "operator": operator, "level": level}
 
 
 @one_thread()

@@ -184,7 +184,7 @@ def _marked(change: Change, after: CycleEstimate, logged: Dynamics) -> CycleEsti
         found.append("the learned safety function is assumed to move with the robot's base")
     if change.places:
         found.append("motions to moved places are bent and stretched logged motions, not planned again")
-    return replace(after, warnings=(*after.warnings, *found))
+    return replace(after, limits=(*after.limits, *found))
 
 
 def _in_time(change: Change, logged: Dynamics) -> str:

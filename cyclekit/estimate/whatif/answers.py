@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.answers import Answers
+from cyclekit.estimate.finding import Finding, light_of, merged
 from cyclekit.estimate.whatif.answer import NO_PROOF, WhatIf
 
 if TYPE_CHECKING:
@@ -25,16 +26,15 @@ class WhatIfAnswers(Answers[WhatIf]):
     safety: str = NO_PROOF
 
     @property
-    def alarms(self) -> tuple[str, ...]:
-        """Warnings to show above the numbers, one sentence each."""
-        checks = (one.before.check for one in self)
-        return tuple(dict.fromkeys(check.alarm for check in checks if check and check.alarm))
+    def findings(self) -> tuple[Finding, ...]:
+        """What is known about the basis of the numbers, the worst first."""
+        return merged(side.findings for one in self for side in (one.before, one.after))
 
     def to_dict(self) -> dict[str, object]:
         """Return everything as plain JSON values."""
         return {
             "safety": self.safety,
-            "warnings": list(self.alarms),
+            **light_of(self.findings),
             "answers": [one.to_dict() for one in self],
             "refused": [one.to_dict() for one in self.refused],
         }

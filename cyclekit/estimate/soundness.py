@@ -1,0 +1,147 @@
+"""Whether the number of an answer can be trusted: the findings that every answer has, made once.
+
+Clock and pose of the tracker, the executions that show people, bias and coverage of the backtest, and support. Every
+command, the page and the workbook show these, in `CycleEstimate.findings`; none of them judges again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from cyclekit.alignment.clocks import ASSUMED
+from cyclekit.estimate.finding import Finding
+from cyclekit.estimate.robot.safety import OnStates
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.robot.safety import SafetyModel
+
+FEW_EXECUTIONS = 20
+"""Number of operator tracks below which the mean is reported as uncertain (by more than 1 % in the cells so far)."""
+ROUGHLY = ("coarse", "start-text")
+"""Methods of clock alignment that leave an error of the order of a reaction time."""
+GIVE_CLOCK = "give clock_offset_s, sync or sees in the cell file, or ingest with --align-clocks coarse"
+GIVE_POSE = "give frame in the cell file (`cyclekit calibrate points.csv` computes it)"
+
+
+class Backtest(Protocol):
+    """The comparison of rollouts with logged executions."""
+
+    @property
+    def findings(self) -> Sequence[Finding]:
+        """What it says of the model."""
+        ...
+
+
+def findings_of(
+    model: SafetyModel,
+    check: Backtest | None,
+    dataset: Dataset | None,
+    *,
+    executions: int,
+    support: float,
+    validated: str | None = "",
+) -> list[Finding]:
+    """Return what is known about the basis of the number of one sequence.
+
+    Args:
+        model: The safety function.
+        check: The comparison with the logged executions; None without one.
+        dataset: The logs; None if people have no part in the number.
+        executions: Number of logged executions behind the number; 0 if none shows people.
+        support: Share of the cycle in logged positions; NaN if unknown.
+        validated: Why there is no `check`; None if nobody expects one.
+    """
+    found = [] if dataset is None else [*_clock(dataset, model), *_pose(dataset, model), *_people(model, executions)]
+    if check is not None:
+        found += check.findings
+    elif validated is not None:
+        found.append(not_validated(validated))
+    return [*found, *_support(support)]
+
+
+def confirmed(dataset: Dataset) -> bool:
+    """Return whether the slow-downs confirm clock and pose: a reaction time was found at which their places agree.
+
+    With a clock that is off by more than a second, or in a wrong frame, they agree at none.
+    """
+    return dataset.card.dynamics.latency_s is not None
+
+
+def _clock(dataset: Dataset, model: SafetyModel) -> Iterator[Finding]:
+    if isinstance(model, OnStates) and not model.card.operator_signals:
+        return  # only the robot's own log
+    others = [one for one in dataset.recordings if "people" in one.tables or isinstance(model, OnStates)]
+    methods = {one.clock.method for one in others}
+    if ASSUMED in methods and not (confirmed(dataset) or _signals_found(dataset, model)):
+        text = "the clocks of robot and tracker are assumed to start together, and nothing in the logs confirms it"
+        yield Finding("clock", "red", text, GIVE_CLOCK)
+    elif methods.intersection(ROUGHLY):
+        text = "the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown"
+        yield Finding("clock", "amber", text, "give sync or clock_offset_s in the cell file")
+    elif ASSUMED in methods:
+        yield Finding("clock", "green", "the clocks are assumed to start together, and the slow-downs confirm it")
+    elif others:
+        yield Finding("clock", "green", "the clocks of robot and tracker are aligned")
+
+
+def _signals_found(dataset: Dataset, model: SafetyModel) -> bool:
+    """Return whether the signals of people were found in the logs: the speed follows them after a fixed delay."""
+    return isinstance(model, OnStates) and not any(one.told for one in dataset.card.operator_signals)
+
+
+def _pose(dataset: Dataset, model: SafetyModel) -> Iterator[Finding]:
+    logs = [one for one in dataset.recordings if "people" in one.tables]
+    if isinstance(model, OnStates) or not logs:
+        return
+    notes = {one.code: one for one in dataset.card.warnings}
+    given = all(one.frame.method != "assumed base frame" or "base_frame" in one.facts for one in logs)
+    if doubtful := notes.get("frame-doubtful"):
+        yield Finding("pose", "red", doubtful.text)
+    elif "frame-assumed" in notes or not (given or confirmed(dataset)):
+        text = "the tracker's pose is not given, and the slow-downs do not confirm that its axes are the robot's"
+        yield Finding("pose", "red", text, GIVE_POSE)
+    else:
+        yield Finding("pose", "green", "the tracker's pose is given" if given else "the slow-downs confirm the pose")
+
+
+def _people(model: SafetyModel, executions: int) -> Iterator[Finding]:
+    if isinstance(model, OnStates) and model.doubts:
+        yield from (Finding("people", "amber", text) for text in model.doubts)
+    elif 0 < executions < FEW_EXECUTIONS:
+        text = f"based on only {executions} executions that show the operator: the mean itself is uncertain"
+        yield Finding("people", "amber", text, "log more executions")
+    elif executions:
+        yield Finding("people", "green", f"{executions} executions show the operator")
+
+
+def not_validated(why: str) -> Finding:
+    """Return the finding that a number was not compared with logged executions, for this reason (empty: not asked)."""
+    text = "not validated on logged executions, so no bias is known or corrected" + (f": {why}" if why else "")
+    return Finding("backtest", "amber", text, covered=False)
+
+
+def _support(support: float) -> Iterator[Finding]:
+    """Yield a finding on extrapolation: red if most, amber if more than a tenth of the cycle was never logged."""
+    if support < MIN_SUPPORT:
+        yield Finding("support", "red", f"EXTRAPOLATED: {_unlogged(support)}", LOG_THERE)
+    elif support < ENOUGH_SUPPORT:
+        yield Finding("support", "amber", _unlogged(support), LOG_THERE, covered=False)
+    elif support == support:
+        yield Finding("support", "green", f"{support:.0%} of the cycle runs through logged positions")
+
+
+def _unlogged(support: float) -> str:
+    return (
+        f"{1 - support:.0%} of the cycle runs through positions that were never logged; the error there is unknown, "
+        "and not in the interval of the mean"
+    )
+
+
+MIN_SUPPORT = 0.5
+"""Minimum share of the cycle in logged positions; below it the estimate is refused."""
+ENOUGH_SUPPORT = 0.9
+"""Minimum share of the cycle in logged positions without a finding."""
+LOG_THERE = "log this part of the cell"

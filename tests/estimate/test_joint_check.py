@@ -86,6 +86,19 @@ def test_errors_that_depend_on_the_order_widen_the_interval(
     assert (found.model_error > 0.05) is doubted
 
 
+def test_executions_that_leave_the_validation_are_counted_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three of 60 lack a visit for which the robot waited, two end in a deadlock."""
+    monkeypatch.setattr("cyclekit.estimate.joint.check.with_every_visit", lambda _, some: some[:-3])
+    rolled = np.random.default_rng(3).normal(50.0, 2.0, (60, 60))
+    rolled[:2] = np.inf
+    found = _judged(monkeypatch, rolled[2:, 0].mean() + np.zeros(60), rolled)
+    assert (found.executions, found.missed, found.unended) == (55, 3, 2)
+    missed, deadlocks = (one for one in found.findings if one.code in ("missed-visits", "deadlocks"))
+    assert missed.text.startswith("in 3 of 60 logged executions a visit of the operator was missed")
+    assert deadlocks.text.startswith("2 of 57 logged orders end in a deadlock or do not end")
+    assert (missed.blocks, deadlocks.blocks) == (False, True)
+
+
 def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rollouts have the true mean; where logged cycles vary by a fifth, the mean of rolled / logged is 4 % above 1."""
     rng = np.random.default_rng(3)

@@ -68,6 +68,8 @@ class JointCheck(Check):
         unexplained_s: Mean wait of the robot per execution without a known condition, s.
         by_order: Standard deviation of the error of another order, from that between logged ones beyond chance, as a
             share of the duration; it widens the interval of the mean.
+        missed: Number of executions without a visit of the operator for which the robot waited; they are not compared.
+        unended: Number of executions whose rollouts end in a deadlock or do not end; they are not compared.
     """
 
     scores: tuple[float, ...] = ()
@@ -76,6 +78,8 @@ class JointCheck(Check):
     least_spread: float = 0.0
     unexplained_s: float = 0.0
     by_order: float = 0.0
+    missed: int = 0
+    unended: int = 0
 
     @property
     def model_error(self) -> float:
@@ -107,8 +111,23 @@ class JointCheck(Check):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """As of `Check`, with what depends on the order and waits for something unknown."""
+        """As of `Check`, with what was not compared, depends on the order, or waits for something unknown."""
         found = [*super().findings]
+        if self.missed:
+            every = self.missed + self.unended + self.executions
+            text = (
+                f"in {self.missed} of {every} logged executions a visit of the operator was missed for which the robot "
+                "waited: they are not in the validation"
+            )
+            found.append(Finding("missed-visits", "amber", text, "look at his track there"))
+        if self.unended:
+            text = (
+                f"{self.unended} of {self.unended + self.executions} logged orders end in a deadlock or do not end "
+                "when they are rolled out: they are not in the validation, and the waits learned are wrong for them"
+            )
+            found.append(
+                Finding("deadlocks", "amber", text, "give the waits in [[waits]] of the cell file", covered=False)
+            )
         if self.by_order:
             text = (
                 "something that depends on the order was not learned: logged orders differ from their rollouts beyond "
@@ -151,7 +170,9 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MAX_EXECUTIONS).astype(int)]
     orders = {each.name: tuple(visit.place for visit in cell.logged[each.name]) for each in sequences}
     sequences = [replace(each, operator=orders[each.name]) for each in sequences]
+    every = len(sequences)
     sequences = with_every_visit(planner, sequences)
+    whole = len(sequences)
     rolled = _at_their_paces(cell, planner, sequences, seed)
     ended = [
         (sequence, np.resize(cycles.duration_s, DRAWS))
@@ -179,6 +200,8 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         "widening": widening(len(ended), repetitions(cell)),
         "unexplained_s": waits.wait_s,
         "unseen_error": unseen_s / mean_s,
+        "missed": every - whole,
+        "unended": whole - len(ended),
         "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences),
     }
     return JointCheck(**{**vars(found), **ours})

@@ -38,11 +38,13 @@ ROWS = 8192
 """Number of cycles simulated at once."""
 REST_S, TIMES = 60.0, 4.0
 """A cycle is abandoned after TIMES the undisturbed work of both agents plus REST_S, s."""
+OF_LOGS = "; or give these waits in [[waits]] of the cell file: those learned from the logs are wrong for this order."
 TOLD = "or correct [[waits]] in the cell file, and ingest and train again"
-ENDLESS_PART = 0.05
-"""Maximum share of abandoned cycles that are left out; with more, the plan has no answer."""
-STUCK_PART = 0.25
-"""Maximum share of cycles that end in a deadlock and are left out; with more, the plan has no answer."""
+LEFT_OUT = 0.01
+"""Maximum share of cycles that are left out, as they end in a deadlock or do not end. A real cell has neither: with
+more, the wait conditions are wrong for the plan, and the mean of the others would be of lucky cycles. A tolerance for
+rare draws: in 11 new orders of a cell with four fixtures no cycle was left out, so half and twice of it change nothing.
+"""
 
 
 @dataclass(frozen=True)
@@ -317,17 +319,17 @@ def _of_one(
     told: bool,
 ) -> RolledBoth | EstimateError:
     stuck = rows[simulated.stuck[rows]]
-    if len(stuck) > STUCK_PART * len(rows):
+    if len(stuck) > LEFT_OUT * len(rows):
         operator = plan.operators[(stuck[0] - rows[0]) % len(plan.operators)]
-        part = f" in {len(stuck) / len(rows):.0%} of the cycles" if len(stuck) < len(rows) else ""
+        part = f" in {len(stuck) / len(rows):.1%} of the cycles" if len(stuck) < len(rows) else ""
         return EstimateError(
             f"{plan.name}: deadlock{part}: {deadlock(plan.robot, operator, simulated, stuck[0], columns)}",
-            cure="Change the order of one agent, or 'after'" + (f"; {TOLD}." if told else "."),
+            cure="Change the order of one agent, or 'after'" + (f"; {TOLD}." if told else OF_LOGS if part else "."),
         )
     asked, rows = len(rows), rows[~simulated.stuck[rows]]
     robot, mine, duration = _agents_of(plan, simulated, rows, number, does)
     ended = np.isfinite(duration)
-    if 1.0 - ENDLESS_PART <= ended.mean() < 1.0:
+    if 1.0 - LEFT_OUT <= ended.mean() < 1.0:
         rows = rows[ended]
         robot, mine, duration = _agents_of(plan, simulated, rows, number, does)
     lost = simulated.activity_s[rows].mean(axis=0).tolist()

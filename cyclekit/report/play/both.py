@@ -21,7 +21,7 @@ from cyclekit.estimate.joint.legs import Gates, event_kind, precedence_needs
 from cyclekit.estimate.joint.levels import WALK, WORK, Levels
 from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.repetitions import cycles_per_resample
-from cyclekit.estimate.joint.roll import ENDLESS_PART, REST_S, STUCK_PART, TIMES, JointCell
+from cyclekit.estimate.joint.roll import LEFT_OUT, REST_S, TIMES, JointCell
 from cyclekit.estimate.joint.shares import MIN_WAIT_S
 from cyclekit.estimate.operator.tracks import OperatorTracks
 from cyclekit.estimate.robot.nominal import nominal_tasks
@@ -95,8 +95,7 @@ def tables_of_both(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEs
         "cycles": CYCLES,
         "rest_s": REST_S,
         "times": TIMES,
-        "endless": ENDLESS_PART,
-        "stuck": STUCK_PART,
+        "left_out": LEFT_OUT,
         "midway_s": MIN_WAIT_S,
         "sequences": sequences,
         "gates": _gates(card),

@@ -73,9 +73,9 @@ const note = (log, rows, cycle) => {
 };
 const summedUp = (all, log, robot, operator, both) => {
   const going = all.filter((each) => !each.stuck);
-  if (going.length < (1 - facts.stuck) * all.length) return { unknown: say("stuck") };
+  if (going.length < (1 - facts.left_out) * all.length) return { unknown: say("stuck") };
   const cycles = going.filter((each) => each.duration_s < Infinity);
-  if (cycles.length < (1 - facts.endless) * going.length) return { unknown: say("endless") };
+  if (cycles.length < (1 - facts.left_out) * going.length) return { unknown: say("endless") };
   return { ...entryOfBoth({ cycles, log, robot, operator, both }), walked: all.length };
 };
 

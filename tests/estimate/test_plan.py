@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.cycle.transit import TransitTable
 from cyclekit.estimate.plan import Jobs, load_jobs, plan, search
-from cyclekit.estimate.plan.jobs import tasks_of
+from cyclekit.estimate.plan.jobs import MAX_VISITS, tasks_of
 from cyclekit.estimate.plan.search import Scorer, best_order, every_order, greedy_order, random_order
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.validation.check import Check
@@ -102,6 +102,8 @@ def test_a_duration_is_the_arrivals_one_after_the_other():
         ('start = "home"\nvisit = ["a", "b"]\nbefore = [["a", "x"]]', "unknown place in before 'x'"),
         ('start = "home"\nvisit = ["a", "b"]\nbefore = ["a"]', "expected a list"),
         ('start = "home"\nvisit = ["a"]', "fewer than two places"),
+        ('start = "home"\nvisit = [' + '"a", ' * 1000 + "]", "1,000 jobs of the robot; at most"),
+        ('start = "home"\nvisit = ["a", "b"]\noperator = [' + '"c", ' * 100_000 + "]", "100,000 jobs of the operator"),
         ('visit = ["a", "b"]', "no 'start'"),
         ('start = "home"\nvisits = ["a", "b"]', "unknown key 'visits'"),
     ],
@@ -112,6 +114,15 @@ def test_jobs_that_no_order_can_fulfil_are_refused(text: str, said: str, tmp_pat
     with pytest.raises(ConfigError, match=said) as caught:
         load_jobs(file)
     assert caught.value.cure
+
+
+def test_the_most_visits_that_are_planned_may_all_be_the_same_or_in_one_given_order():
+    names = tuple(f"p{number}" for number in range(MAX_VISITS))
+    same = Jobs((NAMES[0],) * MAX_VISITS, "home", "home", "via")
+    one = Jobs(names, "home", before=tuple((a, b) for n, a in enumerate(names) for b in names[n + 1 :]))
+    assert best_order(Scorer(table(), same))[0] == same.visit
+    assert random_order(one, np.random.default_rng(0)) == names
+    assert next(every_order(one)) == names
 
 
 def jobs_logged(logged: Dataset, count: int) -> Jobs:

@@ -228,6 +228,7 @@ class Cell:
         robot: The arm, to compute the TCP from joint angles if it is not logged.
         operator_signals: Signals that show people; empty: without a tracker, they are found in the logs.
         waits: Wait conditions, in addition to those found in the logs.
+        known_words: Words of tasks and signals that name nobody, kept in a pseudonymised dataset.
         bridge_s: Maximum gap in the operator's track that is interpolated linearly, s; longer ones stay unknown.
     """
 
@@ -246,3 +247,4 @@ class Cell:
     levels: Levels = ()
     robot: Robot | None = None
     operator_signals: tuple[OperatorSignal, ...] = ()
+    known_words: tuple[str, ...] = ()

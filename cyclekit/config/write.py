@@ -30,6 +30,7 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
     lines = [*(_ABOUT_DRAFTS if drafts else ()), f"name = {toml_value(cell.name)}"]
     lines += [f"ignore = {toml_value(list(cell.ignore))}"] if cell.ignore else []
     lines += [f"reference = {toml_value(list(cell.reference))}  # logs without an operator"] if cell.reference else []
+    lines += [f"known_words = {toml_value(list(cell.known_words))}"] if cell.known_words else []
     lines += [f"rate_hz = {toml_value(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
     lines += [f"bridge_s = {toml_value(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
     lines += ["all_places_named = true"] if cell.all_places_named else []

@@ -40,6 +40,7 @@ from cyclekit.errors import ConfigError, DatasetError, EmptyLog, LogError
 from cyclekit.extras import version
 from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
+from cyclekit.ingest.free_text import Words
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
 from cyclekit.ingest.read.read_logs import Digests, ReadSettings, check_shared, read_all
 from cyclekit.ingest.read.resume import ResumeStore
@@ -115,7 +116,8 @@ def ingest(
     if rate_hz is not None:
         settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings, follow_links=follow_links)
-    reading = ReadSettings(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
+    words = Words.of(settings)
+    reading = ReadSettings(pseudonymise=pseudonymise, words=words, skeletons=keep_skeletons, checksums=checksums)
     logs_found = numbered_logs(found) if pseudonymise else found
     wanted = _Wanted(settings, tuple(logs_found), tuple(not_read), engine, reading, align_clocks)
     with published(out) as path:
@@ -170,7 +172,7 @@ class _Wanted:
     @property
     def fingerprint(self) -> str:
         keys = [log.key for log in self.logs]
-        chosen = [*vars(self.settings).values(), self.align_clocks]
+        chosen = [value for name, value in vars(self.settings).items() if name != "words"] + [self.align_clocks]
         facts = [repr(self.cell), version(), schema.SCHEMA_VERSION, keys, self.not_read, chosen]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 

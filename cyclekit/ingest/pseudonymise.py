@@ -2,7 +2,8 @@
 
 An operator's position with a time is personal data in most plants. Estimates need neither the name nor the date. Tracks
 become `person_1`, `person_2` ... in order of appearance, logs `recording_1`, `recording_2` ... in order of their paths,
-and every recording starts at 0, whatever its clock: the values decide, not the clock kind of the adapter. Positions
+and every recording starts at 0, whatever its clock: the values decide, not the clock kind of the adapter. Of free text
+(tasks, outcomes, signals and their values) only numbers, known words and words of the cell file remain. Positions
 remain; docs/privacy.md explains the consequences.
 """
 
@@ -19,6 +20,7 @@ from msgspec import structs
 
 from cyclekit.dataset.cards.notes import changed
 from cyclekit.errors import ConfigError, LogError
+from cyclekit.ingest.free_text import GONE, NUMBER, ODD, Words, without_times
 from cyclekit.storage.parquet import shift_times
 
 if TYPE_CHECKING:
@@ -31,49 +33,26 @@ if TYPE_CHECKING:
 
 _SHIFTED = {"task_list": ("t_s", "end_s", "planned_start_s", "planned_end_s")}
 """Time columns of tables that have others than `t_s`."""
-GONE = "…"
-"""Replacement for a name or a time."""
 _NEAR_0_S = 3600.0
 """Start time, s, below which a recording holds no time of day."""
 YEAR_S = 366 * 86400.0
 """Minimum difference, s, that indicates two clocks and so reveals the date."""
 _QUOTED = re.compile(r"(?<!\w)(?:'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\")(?!\w)")
-_DATE = re.compile(
-    r"(?<!\d)(?<!\d\.)(?:19|20)\d\d(?:([-_./ ]?)[01]\d\1[0-3]\d)"  # 2025-10-09, 20251009
-    r"(?:[T _-]{0,2}[0-2]\d[:._-]?[0-5]\d(?:[:._-]?[0-5]\d(?:[.,]\d+)?)?)?(?:Z|[+-]\d\d:?\d\d)?(?!\.?\d)"
-    r"|(?<!\d)[0-3]?\d([./-])[0-3]?\d\2(?:19|20)\d\d(?!\d)"  # 09.10.2025, 10/9/2025
-    r"|(?<![\d.:])[0-2]?\d:[0-5]\d:[0-5]\d(?:[.,]\d+)?"  # 14:05:12.5
-)
-_NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:,\d{3})*(?:\.\d+)?(?:[eE][+-]?\d+)?|\d{9,}")
-_PERHAPS = r"\d{9}|\d[eE]\+?\d|(?:19|20)\d\d\D?[01]\d|\d:[0-5]\d|[./-](?:19|20)\d\d"
-"""Fast pre-check for polars: matches every text that may hold a time."""
-_UNITS = (1.0, 1e3, 1e6, 1e9)
 _ENDINGS = (".bag", ".bin", ".c3d", ".csv", ".db3", ".gz", ".json", ".jsonl", ".log", ".mcap", ".tsv", ".txt", ".xml")
 """File endings that are kept, because they show the format and no name."""
-
-
-def without_times(text: str) -> str:
-    """Return a text without dates, times of day and numbers that count from 1970, 1601 or year 1."""
-    return _NUMBER.sub(lambda found: GONE if _is_time(found[0]) else found[0], _DATE.sub(GONE, text))
-
-
-def _is_time(number: str) -> bool:
-    """Return whether a number is a time of 1998 to 2103: s, ms, us or ns since 1970, or Windows ticks."""
-    value = abs(float(number.replace(",", "")))
-    since_1970 = any(9e8 <= value / unit <= 4.2e9 for unit in _UNITS)
-    return since_1970 or 1.25e17 <= value <= 1.6e17 or 6.3e17 <= value <= 6.7e17
 
 
 class Nameless:
     """Removes the names from a recording, part by part: numbers people, and removes quotes from the log."""
 
-    def __init__(self, *, keep: str | None = None) -> None:
+    def __init__(self, *, keep: str | None = None, words: Words | None = None) -> None:
         """Set up without any names.
 
         Args:
             keep: A body that is no person (the one on the robot's flange) and keeps its name.
+            words: Which words of free text remain.
         """
-        self._keep = keep
+        self._keep, self._words = keep, words or Words()
         self._numbers: dict[str, str] = {}
         self._execution_numbers: dict[str, str] = {}
         self._spans: dict[str, tuple[float, float]] = {}
@@ -87,7 +66,7 @@ class Nameless:
         if "safety" in tables:
             changed["safety"] = tables["safety"].with_columns(self._executions(tables["safety"]))
         if "events" in tables:
-            changed["events"] = tables["events"].with_columns(map(_timeless, ("signal", "value")))
+            changed["events"] = self._without_words(tables["events"], "signal", "value")
         for name, table in tables.items():
             if table.height:
                 first, last = self._spans.get(name, (float("inf"), -float("inf")))
@@ -98,7 +77,8 @@ class Nameless:
             aside = aside.with_columns(pl.col("reason").map_elements(self._said, return_dtype=pl.String))
         warnings = tuple(map(self._said, recording.warnings))
         facts = {name: self._said(text) for name, text in recording.facts.items() if name == "checksum"}
-        return replace(recording, **changed, set_aside=aside, warnings=warnings, facts=facts)  # type: ignore[arg-type]
+        joints = tuple(map(self._words.hidden, recording.joint_names))
+        return replace(recording, **changed, set_aside=aside, warnings=warnings, facts=facts, joint_names=joints)  # type: ignore[arg-type]
 
     def check(self, path: Path) -> None:
         """Refuse a log whose clock was set during recording, because the size of that step reveals the date.
@@ -119,14 +99,24 @@ class Nameless:
         operators = table.filter(pl.col("agent") == "operator")["agent_name"].drop_nulls().unique(maintain_order=True)
         for name in operators:
             self._numbers.setdefault(name, f"person_{len(self._numbers) + 1}")
-        agents = pl.col("agent_name").replace(self._numbers) if self._numbers else pl.col("agent_name")
-        tasks = pl.col("task").map_elements(self._task, return_dtype=pl.String)
-        return table.with_columns(agents, tasks, _timeless("outcome"), self._executions(table))
+        table = table.with_columns(self._executions(table))
+        return self._without_words(table, "agent_name", "task", "outcome")
 
-    def _task(self, text: str) -> str:
-        for name in sorted(self._numbers, key=len, reverse=True):
-            text = text.replace(name, self._numbers[name]) if len(name) > 2 else text
-        return without_times(text)
+    def _without_words(self, table: pl.DataFrame, *columns: str) -> pl.DataFrame:
+        """Return a table whose texts keep no words but known ones, and numbers in place of people."""
+        people = {name: number for name, number in self._numbers.items() if name != self._keep}
+
+        def instead(text: str) -> str:
+            return people.get(text) or self._words.hidden(text, people)
+
+        for column in columns:
+            new = {text: instead(text) for text in table[column].drop_nulls().unique(maintain_order=True)}
+            table = (
+                table.with_columns(pl.col(column).replace_strict(new, default=None, return_dtype=pl.String))
+                if new
+                else table
+            )
+        return table
 
     def _executions(self, table: pl.DataFrame) -> pl.Expr:
         """Return the execution column with numbers: execution names show their time, and sometimes a person."""
@@ -144,14 +134,9 @@ class Nameless:
         return table.with_columns(numbers) if self._numbers else table
 
     def _said(self, text: str) -> str:
-        text = _without(_QUOTED.sub(f"'{GONE}'", text), {name: GONE for name in self._numbers if name != self._keep})
-        return without_times(text)
-
-
-def _timeless(column: str) -> pl.Expr:
-    perhaps = pl.col(column).str.contains(_PERHAPS)
-    changed = pl.when(perhaps).then(pl.col(column)).map_elements(without_times, return_dtype=pl.String)
-    return pl.when(perhaps).then(changed).otherwise(pl.col(column)).alias(column)
+        people = {name: GONE for name in self._numbers if name != self._keep}
+        text = _without(_QUOTED.sub(f"'{GONE}'", text), people)
+        return without_times(ODD.sub(lambda found: self._words.hidden(found[0], people), text))
 
 
 def _without(text: str, names: dict[str, str]) -> str:
@@ -302,4 +287,4 @@ def _without_span(text: str, span_s: tuple[float, float]) -> str:
     def said(found: re.Match[str]) -> str:
         return GONE if first_s <= float(found[0].replace(",", "")) <= last_s else found[0]
 
-    return _NUMBER.sub(said, text)
+    return NUMBER.sub(said, text)

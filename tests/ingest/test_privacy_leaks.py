@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
 from cyclekit.cli import run
+from cyclekit.config.cells import Cell, OperatorSignal
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.fleet import load_fleet
 from cyclekit.fleet.stages import run_stages
+from cyclekit.ingest.free_text import Words, without_times
 from cyclekit.ingest.ingest import ingest
-from cyclekit.ingest.pseudonymise import without_times
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import Training, train_at
 
@@ -222,6 +223,82 @@ def test_a_fleet_forgets_the_days_of_before(named: Path, tmp_path: Path) -> None
     ledger.write_text(json.dumps({"days": {"2025-10-09_Anna_Muster": "2025-10-09"}}), encoding="utf-8")
     run_stages(cell, stages=["ingest"])
     assert not leaking(Path(cell.folder))
+
+
+PEOPLE = (
+    "Anna Muster", "anna.muster", "MUSTER", "Muster, Anna", "A. Muster", "amuster", "AnnaMuster", "muster_a",
+    "Jürgen Groß", "JÜRGEN GROSS", "groß", "Kowalski-Ring", "PC-MUSTER01", "FIRMA\\amuster", "anna.muster@firma.de",
+    "Qiu", "Łukasz", "Юрий", "O'Kowalski", "musterAnna",
+)  # fmt: skip
+DATES = (
+    "Mon Mar  2 2026", "02.03.26 14:03", "KW10 2026", "KW 10/26", "2026-W10", "2. März 2026", "2 March 2026",
+    "Mar 2, 2026", "2026-03-02", "20260302_1403", "02.03.2026", "3/2/26", "3/2/2026", "Montag, 2. März", "March 2026",
+    "03/2026", "14:03", "week 10", "1772460180", "2026-03-02T14:03:00+01:00",
+)  # fmt: skip
+PLANTED = (
+    "anna", "muster", "jürgen", "groß", "gross", "kowalski", "firma", "qiu", "łukasz", "юрий", "mär", "mar ", "march",
+    "montag", "kw10", "kw 10", "2026", "02.03", "3/2", "14:03", "17724", "week 10", "w10",
+)  # fmt: skip
+
+
+def planted_in(text: str) -> set[str]:
+    return {word for word in PLANTED if word in text.lower()}
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Free text with every form of a name and a date: outcomes, tasks, agents, signals, values, in three formats."""
+    folder = tmp_path_factory.mktemp("told") / "logs"
+    folder.mkdir()
+    tasks, events = ["run;agent;task;start_s;end_s;outcome"], ["time_s;signal;value"]
+    xes, garbled = "", [f"{PEOPLE[0]} was here {DATES[0]}", f"9;{PEOPLE[2]};{DATES[1]};x;y;z"]
+    for n, (person, date) in enumerate(zip(PEOPLE, DATES, strict=True)):
+        agent = "worker_Anna Muster" if n % 2 else "ur5"
+        tasks += [f"{n};{agent};pick by {person} {n};{2 * n};{2 * n + 1};ok by {person} on HOST at {date}"]
+        events += [f"{n};door {n};opened {date} by {person}", f"{n};{person} light;{n}"]
+        key = '<string key="{}" value="{}"/>'
+        what = key.format("concept:name", f"weld {person} {date}") + key.format("org:resource", person)
+        when = f'<date key="time:timestamp" value="2026-03-02T14:03:{n:02d}Z"/>'
+        xes += "".join(
+            f"<event>{what}{key.format('lifecycle:transition', one)}{when}</event>" for one in ("start", "complete")
+        )
+    (folder / "plan.csv").write_text("\n".join([*tasks, *garbled, ""]), encoding="utf-8")
+    (folder / "events.csv").write_text("\n".join([*events, *garbled, ""]), encoding="utf-8")
+    (folder / "mining.xes").write_text(f"<log><trace>{xes}</trace></log>", encoding="utf-8")
+    return folder
+
+
+def test_of_free_text_only_known_words_and_numbers_remain(
+    told: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = tmp_path / "d"
+    assert run(["ingest", str(told), "--out", str(place), "--pseudonymise"]) == 0
+    assert run(["inspect", str(place)]) == 0
+    assert run(["inspect", str(place), "--json"]) == 0
+    said = capsys.readouterr()
+    texts = {"said": (said.out + said.err).replace("\\u2026", "…")}
+    for file in place.rglob("*"):
+        raw = file.read_bytes() if file.is_file() else b""
+        texts[file.name] = f"{file.name} {raw.decode('utf-8', 'replace')} {raw.decode('latin-1')}"
+        if file.suffix == ".parquet":
+            table = pl.read_parquet(file)
+            texts[f"{file.parent.name}/{file.name}"] = table.write_csv() + str(table.columns)
+    found = {name: planted_in(text) for name, text in texts.items() if not name.endswith(".parquet") or "/" in name}
+    assert not {name: words for name, words in found.items() if words}
+    dataset = Dataset.open(place)
+    listed = next(one for entry in dataset.recordings if (one := dataset.recorded(entry.id, "task_list")) is not None)
+    assert listed["task"].n_unique() == len(PEOPLE)  # what was two stays two
+    assert all(re.match(r"(pick by|weld) ", task) for task in listed["task"])
+
+
+def test_words_that_the_cell_file_names_remain(told: Path, tmp_path: Path) -> None:
+    cell = Cell(known_words=("Kowalski-Ring",), operator_signals=(OperatorSignal("Groß", "Łukasz light"),))
+    words = Words.of(cell)
+    assert words.hidden("pick Kowalski ring for GROSS Groß Łukasz Anna").startswith("pick Kowalski ring for word_")
+    assert " Groß Łukasz word_" in words.hidden("pick Kowalski ring for GROSS Groß Łukasz Anna")
+    assert words.hidden("Kowalski", {"Kowalski": "person_1"}) == "person_1"
+    assert words.hidden("Tür X9") == words.hidden("Tür X9") != Words().hidden("weld Xaver")
+    assert {Words().hidden("Xaver"), Words().hidden("Xaver")} != {words.hidden("Xaver")}
 
 
 FORMS = ("%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d %H:%M:%S.%f", "%Y%m%d_%H%M%S", "%d.%m.%Y", "%m/%d/%Y", "%Y_%m_%d", "%H:%M:%S")

@@ -22,6 +22,7 @@ from cyclekit.dataset.cards.recording import LogClock
 from cyclekit.dataset.rates import Rates
 from cyclekit.errors import LogError
 from cyclekit.ingest.discover import Log, options_of
+from cyclekit.ingest.free_text import Words
 from cyclekit.ingest.pseudonymise import Nameless, shown_as
 from cyclekit.ingest.read.tool_point import with_tool_point
 from cyclekit.ingest.registry import adapter_named
@@ -56,12 +57,14 @@ class ReadSettings:
     """What to store of each log.
 
     Attributes:
-        pseudonymise: Replace the names given by trackers.
+        pseudonymise: Replace names.
+        words: Which words of free text remain then.
         skeletons: Store all joints of all persons, if a tracker has them.
         checksums: Compute the BLAKE3 of each file.
     """
 
     pseudonymise: bool = False
+    words: Words = field(default_factory=Words)
     skeletons: bool = False
     checksums: bool = True
 
@@ -121,7 +124,8 @@ def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, 
     written: dict[str, _Table] = {}
     aside, counts, rows_read = None, dict[str, int](), 0
     last: Recording | None = None
-    nameless = Nameless(keep=log.source.sees_as if log.source else None) if settings.pseudonymise else None
+    keep = log.source.sees_as if log.source else None
+    nameless = Nameless(keep=keep, words=settings.words) if settings.pseudonymise else None
     try:
         read = adapter_named(log.adapter).parts(log.path, options)
         for part in examined_parts(with_tool_point(read, log.robot)):

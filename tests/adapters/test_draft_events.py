@@ -29,7 +29,7 @@ def test_a_signal_named_by_device_and_event(tmp_path: Path) -> None:
     found = keys(tmp_path / "export.csv", PNOZ, "latin-1")
     assert found == {
         "role": "events",
-        "encoding": "latin-1",
+        "encoding": "windows-1252",
         "delimiter": "semicolon",
         "skip_rows": 2,
         "time": ["Datum", "Uhrzeit"],

@@ -7,17 +7,23 @@ known, so only this is asked: one of our tables or one of our refusals, soon, an
 from __future__ import annotations
 
 import random
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 Harm = "Callable[[bytes, random.Random], bytes]"
+_WORD = re.compile(rb"[\w.+-]+")
 _MARKS = [b",", b";", b"\t", b" ", b"|"]
 _TOKENS = [
     b"nan", b"inf", b"-inf", b"1e308", b"-1e309", b"9" * 400, b"0x1F", b"true", b"null", b"", b'"', b'""', b"'", b"\\",
     b"-", b"--1", b"1.2.3", b"1,5", b"\xff\xfe", b"\xef\xbb\xbf", b"\xe2\x80\xa8", b"\x1f", b"{}", b"[]", b"[[", b"}",
     b"18446744073709551616", b"-9223372036854775809", b"1e-400", b"2025-02-31", b"\xc0\x80", b"\r", b"\n", b"\0",
+    b"-5", b"0", b"-0", b"1e300", b"9999999999999999999", "²".encode(), "٣".encode(), "½".encode(), b"Infinity",
+    b"-Infinity", b"NaN", b'"\\ud800"', b'"\\udfff\\ud800"', b"\\ud800", b"\xed\xa0\x80", b"1_000",
+    b" 7 ", b"+-5", b"1e19",
+    b"9999-12-31T23:59:60Z", b"0000-00-00", b"&#xD800;", b"&amp;", b"<![CDATA[", b'{"$date": {"$numberLong": "x"}}',
 ]  # fmt: skip
 
 
@@ -176,6 +182,14 @@ def _cells_changed(data: bytes, chance: random.Random) -> bytes:
     return b"".join(lines)
 
 
+def _words_changed(data: bytes, chance: random.Random) -> bytes:
+    """Put other numbers and words where one stands, whatever separates them."""
+    spans = [found.span() for found in _WORD.finditer(data)]
+    for begin, end in sorted(chance.choices(spans, k=chance.choice([1, 1, 2, 5])) if spans else [], reverse=True):
+        data = data[:begin] + chance.choice(_TOKENS) + data[end:]
+    return data
+
+
 def _ends_changed(data: bytes, chance: random.Random) -> bytes:
     ends = [b"\n", b"\r\n", b"\r", b"\r\r\n", b"\n\n", b""]
     lines = [line.rstrip(b"\r\n") for line in _lines(data)]
@@ -219,6 +233,7 @@ TEXT: dict[str, Callable[[bytes, random.Random], bytes]] = {
     "delimiters swapped": _marks_swapped,
     "columns swapped": _columns_swapped,
     "cells changed": _cells_changed,
+    "words changed": _words_changed,
     "line ends changed": _ends_changed,
     "another encoding": _recoded,
 }

@@ -73,6 +73,8 @@ def own_logs(folder: Path) -> list[OwnLog]:
         "safety": ("safety-log", _safety, ReadOptions()),
         "scope": ("twincat-scope", _scope, ReadOptions()),
         "trace": ("codesys-trace", _trace, ReadOptions()),
+        "trace xml": ("codesys-trace", _trace_xml, ReadOptions()),
+        "trace text": ("codesys-trace", _trace_text, ReadOptions()),
     }
     written = [OwnLog(name, a, {"log.txt": text().encode()}, options) for name, (a, text, options) in texts.items()]
     binary = [OwnLog("ur binary", "ur-rtde", {"log.bin": _ur_binary()}), OwnLog("c3d", "c3d", {"log.c3d": _c3d()})]
@@ -237,6 +239,22 @@ def _trace() -> str:
     head = ["[key]; [value]", "Version; 0x03050000", "Name; Application.Trace", "Flags; 16"]
     samples = [f"; {10 * row}; {'TRUE' if row // 7 % 2 else 'FALSE'}" for row in range(ROWS)]
     return "\n".join([*head, "0.Variable; PLC_PRG.field", "0.Class; 14", "0.Data; ", *samples]) + "\n"
+
+
+def _trace_xml() -> str:
+    values = ",".join("TRUE" if row // 7 % 2 else "FALSE" for row in range(ROWS))
+    times = ",".join(str(10 * row) for row in range(ROWS))
+    lists = f"<Values>{values}</Values>\n<Timestamps>{times}</Timestamps>"
+    unit = '<TraceConfiguration><Single Name="MicroSeconds" Type="bool">False</Single></TraceConfiguration>'
+    variable = f'<TraceVariable VarName="PLC_PRG.field">\n{lists}\n</TraceVariable>'
+    return f"<Trace>{unit}\n<TraceData><TraceRecord>\n{variable}</TraceRecord></TraceData></Trace>\n"
+
+
+def _trace_text() -> str:
+    head = ["CODESYS V3.5 SP20 Trace: Trace", "C:\\Trace\\Sample.project", "Timestamp(ms) PLC_PRG.field PLC_PRG.step"]
+    return "\n".join(
+        [*head, *(f"{10 * row} {'TRUE' if row // 7 % 2 else 'FALSE'} {row // 9}" for row in range(ROWS)), ""]
+    )
 
 
 def _signal() -> str:

@@ -41,7 +41,7 @@ def read(log: OwnLog, file: str, data: bytes) -> Recording:
 
 @pytest.mark.parametrize("adapter", [*LINES, "events"])
 def test_a_last_line_without_its_end_is_not_read(adapter: str, logs: list[OwnLog]):
-    mine = [log for log in logs if log.adapter == adapter]
+    mine = [log for log in logs if log.adapter == adapter and log.name != "trace xml"]
     assert mine
     for log in mine:
         for file, whole in log.files.items():

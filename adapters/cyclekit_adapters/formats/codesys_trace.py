@@ -13,22 +13,31 @@ were taken from published files of CODESYS 3.5:
 from __future__ import annotations
 
 import re
+import sys
+from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 from xml.parsers import expat
 
+import numpy as np
 import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog, LogError
-from cyclekit.schema import EVENTS, empty
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.tasks.trace_signals import are_states, left_out
 from cyclekit_adapters.text.delimited import TextLayout, read_rows
-from cyclekit_adapters.text.text_blocks import blocks_of, characters_of, file_encoding, head_lines, head_of
+from cyclekit_adapters.text.text_blocks import (
+    blocks_of,
+    characters_of,
+    encoding_notes,
+    file_encoding,
+    head_lines,
+    head_of,
+)
 from cyclekit_adapters.text.text_layout import header_names
-from cyclekit_adapters.text.text_rows import SET_ASIDE
+from cyclekit_adapters.text.text_rows import SET_ASIDE, UNDECODED
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,9 +45,15 @@ if TYPE_CHECKING:
 _UNITS = {"ms": 1e-3, "us": 1e-6}
 _FLAGS = {16: "ms", 32: "us"}
 _VARIABLE = re.compile(r"\d+\.Variable; ?(.+)")
-_SAMPLE = re.compile(r"; ?(\d+); ?(\S.*)")
+_SAMPLE = re.compile(r"; ?(\d{1,20}); ?(\S.*)")
+_TIME = re.compile(r"\s*\d{1,20}\s*")
 _SETTING = re.compile(r"(?:\d+\.)?[A-Za-z][\w.]*; ?.*")
+_UNIT_FLAGS = re.compile(r"Flags;\s*(\d{1,9})", re.ASCII)
 _TIMES = re.compile(r"\w+\((ms|us|µs)\)")
+MAX_SAMPLES = 5_000_000
+"""Maximum number of samples of a trace, which is held in memory as a whole."""
+_LONGEST = 1 << 24
+"""Maximum number of characters of the times or values of one variable."""
 _CUT = "the file ends in this line: it was cut while being written"
 
 
@@ -46,9 +61,14 @@ _CUT = "the file ends in this line: it was cut while being written"
 class _Samples:
     """Samples of one variable: times as written, values, and the line (or number) of each."""
 
-    times: list[float] = field(default_factory=list)
+    times: array[float] = field(default_factory=lambda: array("d"))
     values: list[str] = field(default_factory=list)
-    rows: list[int] = field(default_factory=list)
+    rows: array[int] = field(default_factory=lambda: array("q"))
+
+    def add(self, time: str, value: str, row: int) -> None:
+        self.times.append(float(time))
+        self.values.append(sys.intern(value))
+        self.rows.append(row)
 
 
 @dataclass
@@ -68,6 +88,16 @@ class _Trace:
     aside: list[tuple[int, str]] = field(default_factory=list)
     rows_read: int = 0
     warnings: list[str] = field(default_factory=list)
+
+    def count(self, path: Path) -> None:
+        """Count a sample.
+
+        Raises:
+            DamagedLog: There are too many to hold.
+        """
+        self.rows_read += 1
+        if self.rows_read > MAX_SAMPLES:
+            raise DamagedLog(path, f"more than {MAX_SAMPLES:,} samples: too many for one trace", cure="Split it.")
 
 
 class _CodesysTrace:
@@ -99,7 +129,7 @@ class _CodesysTrace:
             rows_are="row" if form == "trace" else "line",
             rows_read=trace.rows_read,
             set_aside=pl.DataFrame(sorted(trace.aside), schema=SET_ASIDE, orient="row"),
-            warnings=(*trace.warnings, *left_out(real)),
+            warnings=(*trace.warnings, *left_out(real), *encoding_notes(path)),
             facts={"form": form, "time": f"{unit} since the trace began", "variables": ", ".join(kept)[:2000]},
         )
 
@@ -115,14 +145,16 @@ def _form(path: Path) -> str | None:
 
 
 def _events(kept: dict[str, _Samples], seconds: float) -> pl.DataFrame:
-    found = [empty(EVENTS)]
-    for name, samples in kept.items():
-        times, rows = pl.Series(samples.times, dtype=pl.Float64), pl.Series(samples.rows, dtype=pl.Int64)
-        frame = pl.DataFrame(
-            {"t": times * seconds, name: pl.Series(samples.values, dtype=pl.String), "source_row": rows}
-        )
-        found.append(StateChanges().changes(frame, "t", [name]))
-    return pl.concat(found).sort("t_s", maintain_order=True)
+    counts = pl.Series([len(samples.times) for samples in kept.values()], dtype=pl.UInt32)
+    long = {
+        "t_s": np.concatenate([samples.times for samples in kept.values()]) * seconds,
+        "signal": pl.DataFrame({"name": list(kept), "count": counts})
+        .select(pl.col("name").repeat_by("count"))
+        .explode("name")["name"],
+        "value": pl.Series([value for samples in kept.values() for value in samples.values], dtype=pl.String),
+        "source_row": np.concatenate([samples.rows for samples in kept.values()]),
+    }
+    return StateChanges().changed(pl.DataFrame(long)).sort("t_s", maintain_order=True)
 
 
 def _of_csv(path: Path) -> _Trace:
@@ -135,18 +167,21 @@ def _of_csv(path: Path) -> _Trace:
             if not line:
                 continue
             if last:
+                trace.count(path)
                 trace.aside.append((number + 1, _CUT))
             elif found := _VARIABLE.fullmatch(line):
-                samples = trace.samples.setdefault(found[1].strip(), _Samples())
+                samples = None if UNDECODED in line else trace.samples.setdefault(found[1].strip(), _Samples())
+                if samples is None:
+                    trace.count(path)
+                    trace.aside.append((number, "its name has unreadable characters"))
             elif (found := _SAMPLE.fullmatch(line)) and samples is not None and "\0" not in line:
-                samples.times.append(float(found[1]))
-                samples.values.append(found[2].strip())
-                samples.rows.append(number)
-            elif line.startswith("Flags;") and line[6:].strip().isdigit():
-                trace.unit = next((unit for bit, unit in _FLAGS.items() if int(line[6:]) & bit), None)
+                samples.add(found[1], found[2].strip(), number)
+                trace.count(path)
+            elif flags := _UNIT_FLAGS.fullmatch(line):
+                trace.unit = next((unit for bit, unit in _FLAGS.items() if int(flags[1]) & bit), None)
             elif not _SETTING.fullmatch(line) and line.replace(" ", "") != "[key];[value]":
+                trace.count(path)
                 trace.aside.append((number, f"neither a setting nor a sample: {line[:40]!r}"))
-    trace.rows_read = len(trace.aside) + sum(len(one.times) for one in trace.samples.values())
     return trace
 
 
@@ -159,7 +194,8 @@ def _of_text(path: Path) -> _Trace:
     trace = _Trace(unit="ms" if found and found[1] == "ms" else "us", rows_read=rows.rows_read)
     for name in names[1:]:
         known = rows.frame.select(names[0], name, "source_row").drop_nulls(name)
-        trace.samples[name] = _Samples(*(known[column].to_list() for column in (names[0], name, "source_row")))
+        times, rows_of = (known[column].to_numpy() for column in (names[0], "source_row"))
+        trace.samples[name] = _Samples(array("d", times), known[name].to_list(), array("q", rows_of))
     trace.aside = list(rows.set_aside.iter_rows())
     return trace
 
@@ -190,18 +226,24 @@ class _Document:
         self.parser.CharacterDataHandler = self._told
         self.parser.StartDoctypeDeclHandler = self.parser.EntityDeclHandler = self._refuse
         self._path, self._name, self._text = path, "", list[str]()
-        self._reading = ""
+        self._reading, self._told_size = "", 0
         self._lists: dict[str, str] = {}
 
     def _start(self, tag: str, about: dict[str, str]) -> None:
         if tag == "TraceVariable":
             self._name, self._lists = about.get("VarName", ""), {}
+            if UNDECODED in self._name:
+                self.trace.warnings.append(f"{self._name!r} has unreadable characters, so it is left out")
+                self._name = ""
         wanted = tag in ("Values", "Timestamps") or about.get("Name") == "MicroSeconds"
-        self._reading, self._text = (tag if wanted else ""), []
+        self._reading, self._text, self._told_size = (tag if wanted else ""), [], 0
 
     def _told(self, text: str) -> None:
         if self._reading:
             self._text.append(text)
+            self._told_size += len(text)
+            if self._told_size > _LONGEST:
+                raise DamagedLog(self._path, f"a list of more than {_LONGEST >> 20} MiB", cure="Split the trace.")
 
     def _end(self, tag: str) -> None:
         text, reading, self._reading = "".join(self._text), self._reading, ""
@@ -215,20 +257,18 @@ class _Document:
     def _take(self) -> None:
         times, values = (self._lists.get(tag, "").split(",") for tag in ("Timestamps", "Values"))
         if len(times) != len(values):
-            message = f"{self._name}: {len(times)} times and {len(values)} values, so it is left out"
+            message = f"{self._name!r}: {len(times)} times and {len(values)} values, so it is left out"
             self.trace.warnings.append(message)
             return
         samples = self.trace.samples.setdefault(self._name, _Samples())
         for row, (time, value) in enumerate(zip(times, values, strict=True)):
             if not time.strip() and not value.strip():
                 continue
-            self.trace.rows_read += 1
-            if time.strip().isdecimal():
-                samples.times.append(float(time))
-                samples.values.append(value.strip())
-                samples.rows.append(row)
+            self.trace.count(self._path)
+            if _TIME.fullmatch(time):
+                samples.add(time, value.strip(), row)
             else:
-                self.trace.aside.append((row, f"{self._name}: {time.strip()[:40]!r} is no time"))
+                self.trace.aside.append((row, f"{self._name!r}: {time.strip()[:40]!r} is no time"))
 
     def _refuse(self, *about: object) -> None:
         cause = "it holds a document type declaration, which may define entities: not read"

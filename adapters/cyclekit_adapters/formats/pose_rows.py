@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _WHERE = "[sources.map] of a table of poses"
 _METRES = {"m": 1.0, "mm": 1e-3}
 _ORIENTATIONS = ({"qx", "qy", "qz", "qw"}, {"rx", "ry", "rz"}, {"roll", "pitch", "yaw"})
-_ELEMENT = re.compile(r"(?:state\.)?(O_T_EE|q|dq)(?:\[(\d+)\]|_(\d+))")
+_ELEMENT = re.compile(r"(?:state\.)?(O_T_EE|q|dq)(?:\[(\d{1,4})\]|_(\d{1,4}))")
 _MATRIX, _PLACE, _BELOW, _JOINTS = 16, (12, 13, 14), (3, 7, 11), 7  # the row below the rotation is zero
 
 

@@ -19,8 +19,8 @@ from cyclekit_adapters.tasks.task_cells import task_table
 from cyclekit_adapters.tasks.task_columns import is_task_list, require, settings_of
 from cyclekit_adapters.tasks.task_json import JsonRecords, json_names, table_of
 from cyclekit_adapters.tasks.xes import FIELDS, NO_START, XesRecords, is_xes
-from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, header_names, read_rows
-from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, header_names, joined, read_blocks
+from cyclekit_adapters.text.text_blocks import encoding_notes, file_encoding, head_lines, head_of
 from cyclekit_adapters.text.text_rows import SET_ASIDE
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.tasks.task_columns import Settings
     from cyclekit_adapters.tasks.task_json import Record
 
-MAX_TASKS = 5_000_000
+MAX_TASKS = 1_000_000
 """Maximum number of tasks in one list, which is held in memory as a whole."""
 
 
@@ -71,8 +71,7 @@ class _TaskList:
     def read(self, path: Path, options: ReadOptions) -> Recording:
         settings = settings_of(options)
         cells = _cells(path, settings)
-        if cells.frame.height >= MAX_TASKS:
-            raise DamagedLog(path, f"more than {MAX_TASKS:,} tasks: too many for one list", cure="Split it.")
+        _few(path, cells.frame.height)
         found = task_table(path, cells.frame, cells.columns, settings, decimal_comma=cells.decimal_comma)
         aside = pl.DataFrame(cells.aside, schema=SET_ASIDE, orient="row")
         return Recording(
@@ -81,7 +80,7 @@ class _TaskList:
             rows_are=cells.rows_are,
             rows_read=cells.rows_read,
             set_aside=pl.concat([aside, found.set_aside.cast(pl.Schema(SET_ASIDE))]).sort("source_row"),
-            warnings=(*cells.warnings, *found.warnings),
+            warnings=(*cells.warnings, *found.warnings, *encoding_notes(path)),
             facts={"written as": cells.written, **found.facts},
         )
 
@@ -91,6 +90,11 @@ def _cells(path: Path, settings: Settings) -> _Cells:
     if first in ("{", "["):
         return _of_json(path, settings)
     return _of_xes(path, settings) if first == "<" else _of_table(path, settings)
+
+
+def _few(path: Path, rows: int) -> None:
+    if rows > MAX_TASKS:
+        raise DamagedLog(path, f"more than {MAX_TASKS:,} tasks: too many for one list", cure="Split it.")
 
 
 def _header(line: str) -> tuple[tuple[str, ...], str]:
@@ -104,7 +108,12 @@ def _of_table(path: Path, settings: Settings) -> _Cells:
     columns = require(path, names, settings.columns)
     layout = TextLayout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
     texts = list(dict.fromkeys(columns.values()))
-    rows = read_rows(path, layout, numbers=[], texts=texts)
+    blocks, count = list[TextRows](), 0
+    for block in read_blocks(path, layout, numbers=[], texts=texts):
+        blocks.append(block)
+        count += block.rows_read
+        _few(path, count)
+    rows = joined(blocks, [], texts)
     frame = rows.frame.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
     aside: list[tuple[int | None, str]] = [(row, reason) for row, reason in rows.set_aside.iter_rows()]
     return _Cells(frame, columns, rows.rows_read, "line", "a table", aside, decimal_comma=delimiter != ",")
@@ -118,7 +127,7 @@ def _of_json(path: Path, settings: Settings) -> _Cells:
         raise DamagedLog(path, f"not valid JSON ({records.broken})", cure="Copy it again.")
     columns = require(path, names, settings.columns)
     records = JsonRecords(path)
-    table = table_of(iter(records), tuple(dict.fromkeys(columns.values())), MAX_TASKS)
+    table = table_of(iter(records), tuple(dict.fromkeys(columns.values())), MAX_TASKS + 1)
     frame = table.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
     aside: list[tuple[int | None, str]] = []
     if records.broken is not None:
@@ -138,7 +147,7 @@ def _of_xes(path: Path, settings: Settings) -> _Cells:
         raise ConfigError(f"{path}: {name} in [sources.map] names a column, and XES has none", cure="Remove it.")
     records = XesRecords(path)
     aside: list[tuple[int | None, str]] = []
-    table = table_of(_started(iter(records), aside), FIELDS, MAX_TASKS)
+    table = table_of(_started(path, iter(records), aside), FIELDS, MAX_TASKS + 1)
     if table.is_empty() and aside:
         cause = "its events say when tasks were completed and not when they started (lifecycle:transition)"
         raise DamagedLog(path, cause, cure="Export start events too.")
@@ -152,11 +161,12 @@ def _of_xes(path: Path, settings: Settings) -> _Cells:
     return _Cells(table.select("source_row", *columns), columns, records.events, "row", "XES", aside, tuple(warnings))
 
 
-def _started(records: Iterator[Record], aside: list[tuple[int | None, str]]) -> Iterator[Record]:
+def _started(path: Path, records: Iterator[Record], aside: list[tuple[int | None, str]]) -> Iterator[Record]:
     """Yield the tasks that have a start; the others are set aside."""
     for record in records:
         if NO_START in record:
-            aside.append((None, f"{record[NO_START]!r} completes but never started"))
+            aside.append((None, f"{record[NO_START][:60]!r} completes but never started"))
+            _few(path, len(aside))
         else:
             yield record
 

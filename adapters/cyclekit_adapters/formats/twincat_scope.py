@@ -36,6 +36,8 @@ _TICKS_1970, _TICK_S = 116_444_736_000_000_000, 1e-7
 _FULL_TICKS = 1e16
 """Minimum time value that counts ticks since 1601; in milliseconds it would be 300,000 years."""
 _NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
+_DIGITS = 20
+"""Maximum number of digits of a count of ticks."""
 _T_S = "\x1ft_s"
 _LOOKED_AT = 200
 
@@ -123,7 +125,7 @@ def _events(frame: pl.DataFrame, group: _Group, header: _Header, states: StateCh
     """Return the events of channels that share a time column."""
     time = pl.col(group.time)
     t_s = (time - _TICKS_1970) * _TICK_S if header.full else time * 1e-3 + (header.start_s or 0.0)
-    return states.changes(frame.with_columns(t_s.alias(_T_S)), _T_S, group.channels)
+    return states.changes(frame.select(t_s.alias(_T_S), "source_row", *group.channels), _T_S, group.channels)
 
 
 def _header(path: Path) -> _Header:
@@ -169,7 +171,7 @@ def _header(path: Path) -> _Header:
     )
     facts = {
         "channels": ", ".join(name for group in groups for name in group.channels)[:2000],
-        "scope": about["Name"].strip(mark),
+        "scope": about.get("Name", "").strip(mark),
     }
     return _Header(layout, tuple(groups), _start(about, mark), full, tuple(real), facts)
 
@@ -194,7 +196,7 @@ def _is_row(line: str, mark: str) -> bool:
 def _start(about: dict[str, str], mark: str) -> float | None:
     for key in _STARTS:
         ticks = about.get(key, "").partition(mark)[0].strip()
-        if ticks.isdigit() and int(ticks) > _TICKS_1970:
+        if ticks.isascii() and ticks.isdigit() and len(ticks) <= _DIGITS and int(ticks) > _TICKS_1970:
             return (int(ticks) - _TICKS_1970) * _TICK_S
     return None
 
@@ -203,7 +205,8 @@ def _whole_rows(path: Path, header: _Header) -> Iterator[bytes]:
     """Yield the rows; a row that lacks slower channels, because they have ended, is filled up."""
     layout = header.layout
     mark, width = layout.delimiter.encode(), len(layout.names)
-    ends = {layout.names.index(group.time) for group in header.groups}
+    places = {name: place for place, name in enumerate(layout.names)}
+    ends = {places[group.time] for group in header.groups}
     for block in blocks_of(path, layout.encoding, skip_lines=layout.header_lines, delimiter=layout.delimiter):
         lines = block.split(b"\n")
         for number, line in enumerate(lines):

@@ -212,7 +212,8 @@ def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.Dat
     columns = [frame.get_column(n).alias(c) for n, c in (named | joints).items() if n in have]
     if have.issuperset(_SPEED):
         x, y, z = (frame.get_column(name).to_numpy() for name in _SPEED)
-        columns.append(_series("tcp_speed_m_s", np.sqrt(x * x + y * y + z * z)))
+        with np.errstate(over="ignore"):  # a garbled binary log
+            columns.append(_series("tcp_speed_m_s", np.sqrt(x * x + y * y + z * z)))
     if "target_speed_fraction" in have:
         columns.append(_series("slider", _fraction(frame, "target_speed_fraction")))
     if "runtime_state" in have:

@@ -165,7 +165,7 @@ def name_of(column: str, unit: str = "") -> Name:
         named = UNITS[words.pop()]
     named = UNITS.get(unit.strip("[]() ").lower()) or named
     axis, rest = _axis(words)
-    numbers = [at for at, word in enumerate(rest) if word.isdigit()]
+    numbers = [at for at, word in enumerate(rest) if word.isdecimal() and len(word) < 10]
     number = int(rest[numbers[-1]]) if numbers else None
     kept = tuple("#" if at in numbers[-1:] else word for at, word in enumerate(rest))
     return Name(column, kept, axis, number, named)

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit_adapters.mapped.sheets import Workbook, rows_of
+from cyclekit_adapters.text.encodings import WINDOWS
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.list_cells import parts_of
-from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
+from cyclekit_adapters.text.text_blocks import begins_in_windows, file_encoding, head_lines
 from cyclekit_adapters.text.text_layout import fields_of, unique
 from cyclekit_adapters.text.text_rows import UNKNOWN
 
@@ -89,9 +90,8 @@ def draft_lines(path: Path) -> tuple[list[str], dict[str, object]]:
     encoding = file_encoding(path)
     if encoding is None:
         return [], {}
-    lines, keys = head_lines(path, LINES, encoding), dict[str, object]()
-    if any("\ufffd" in line for line in lines):
-        lines, keys = head_lines(path, LINES, "latin-1"), {"encoding": "latin-1"}
+    lines = head_lines(path, LINES, encoding)
+    keys: dict[str, object] = {"encoding": WINDOWS} if begins_in_windows(path) else {}
     return lines[:-1] if len(lines) < LINES or not lines[-1] else lines, keys  # the last line may be incomplete
 
 

@@ -124,7 +124,7 @@ def _counted(table: DraftTable, name: Name) -> FoundTime | None:
 
 def _by_steps_alone(table: DraftTable, column: str) -> FoundTime | None:
     values = table.numbers[column]
-    if not _rises(values) or (values % 1 == 0).all():
+    if not _rises(values) or np.array_equal(values, np.floor(values)):
         return None
     units, epoch, why = _units(values, None)
     return FoundTime((column,), units, epoch=epoch, why=f"{why}; it rises in every row", sure=False) if units else None

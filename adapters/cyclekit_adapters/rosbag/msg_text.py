@@ -34,7 +34,7 @@ _NOTHING: Fields = [(EMPTY_FIELD, (Nodetype.BASE, ("uint8", 0)))]
 _RULE = re.compile(r"^={80}\n", re.MULTILINE)
 _BASES = "bool|byte|char|float32|float64|u?int8|u?int16|u?int32|u?int64|string"
 _BASE = re.compile(_BASES)
-_TYPE = r"(?P<kind>(?:[a-zA-Z]\w*/)*[a-zA-Z]\w*)(?P<limit><=\d+)?(?P<many>\[(?P<most><=)?(?P<count>\d*)\])?"
+_TYPE = r"(?P<kind>(?:[a-zA-Z]\w*/)*[a-zA-Z]\w*)(?P<limit><=\d{1,9})?(?P<many>\[(?P<most><=)?(?P<count>\d{0,9})\])?"
 _FIELD = re.compile(rf"[ \t]*{_TYPE}[ \t]+(?P<name>[A-Za-z]\w*)(?:[ \t]+[^ \t#=].*|[ \t]*(?:#.*)?)", re.ASCII)
 _CONSTANT = re.compile(rf"[ \t]*(?P<kind>{_BASES})[ \t]+(?P<name>[A-Za-z]\w*)[ \t]*=(?P<value>.*)", re.ASCII)
 _NAME = re.compile(r"[A-Za-z]\w*(?:/\w+)+", re.ASCII)

@@ -15,6 +15,10 @@ from cyclekit.schema import EVENTS, conform, empty
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+_TIME = "\x1ft_s"
+_CELLS = 1 << 20
+"""Number of cells that are looked at together: a table of any width takes time in proportion to its cells."""
+
 
 @dataclass
 class StateChanges:
@@ -35,14 +39,22 @@ class StateChanges:
             time: Name of the time column; rows without a time are skipped.
             columns: Signal columns.
         """
-        found = [empty(EVENTS)]
-        for name in columns:
-            cells = frame.select(pl.col(time).alias("t_s"), pl.col(name).alias("value"), "source_row")
-            known = cells.drop_nulls(["t_s", "value"])
-            if known.is_empty():
-                continue
-            same = (known["value"] == known["value"].shift(1, fill_value=self._states.get(name))).fill_null(value=False)
-            self._states[name] = known["value"][-1]
-            signal = pl.lit(self.names.get(name, name)).alias("signal")
-            found.append(conform(known.filter(~same).with_columns(signal), EVENTS))
+        names, found = list(columns), [empty(EVENTS)]
+        at_once = max(1, _CELLS // max(frame.height, 1))
+        for first in range(0, len(names), at_once):
+            some = frame.select(pl.col(time).alias(_TIME), "source_row", *names[first : first + at_once])
+            samples = some.unpivot(index=[_TIME, "source_row"], variable_name="signal", value_name="value")
+            found.append(self.changed(samples.rename({_TIME: "t_s"})))
         return pl.concat(found).sort("source_row", maintain_order=True)
+
+    def changed(self, samples: pl.DataFrame) -> pl.DataFrame:
+        """Return table EVENTS of samples `t_s`, `signal`, `value` and `source_row`, those of each signal in order."""
+        known = samples.drop_nulls(["t_s", "value"])
+        before = pl.col("value").shift(1).over("signal")
+        if self._states:
+            states = pl.col("signal").replace_strict(self._states, default=None, return_dtype=pl.String)
+            before = pl.coalesce(before, states)
+        fresh = known.filter((pl.col("value") != before).fill_null(value=True))
+        self._states |= dict(known.unique("signal", keep="last").select("signal", "value").iter_rows())
+        named = fresh.with_columns(pl.col("signal").replace(dict(self.names))) if self.names else fresh
+        return conform(named, EVENTS)

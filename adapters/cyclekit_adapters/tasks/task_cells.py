@@ -16,6 +16,7 @@ from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import MOST_FAILED, TASK_LIST, conform
 from cyclekit_adapters.tasks.task_columns import NEEDED, TIMES, is_person
 from cyclekit_adapters.tasks.task_times import cleaned, with_seconds
+from cyclekit_adapters.text.text_rows import UNDECODED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -103,6 +104,11 @@ def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Return the usable rows, and the others with their reasons."""
     who = [name for name in ("agent", "task", "start", "end", "execution") if name in cells.columns]
     odd = [pl.when(pl.col(key).is_null()).then(pl.lit(f"no {key}")) for key in NEEDED if key != "end"]
+    odd += [
+        pl.when(pl.col(key).str.contains(UNDECODED, literal=True)).then(pl.lit(f"its {key} has unreadable characters"))
+        for key in ("agent", "task", "execution")
+        if key in cells.columns
+    ]
     written = {"start": "start", "end": "duration" if "duration" in cells.columns else "end"}
     odd += [
         pl.when(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).then(

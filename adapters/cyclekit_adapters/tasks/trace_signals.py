@@ -31,5 +31,5 @@ def left_out(names: Sequence[str]) -> list[str]:
     """Return a message that lists the variables left out; empty if there are none."""
     if not names:
         return []
-    listed = ", ".join(name[:60] for name in names[:5]) + (", ..." if len(names) > 5 else "")
+    listed = ", ".join(repr(name[:60]) for name in names[:5]) + (", ..." if len(names) > 5 else "")
     return [f"{len(names)} variables of real numbers are left out, since they measure: {listed}"]

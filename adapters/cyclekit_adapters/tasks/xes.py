@@ -8,7 +8,7 @@ define entities, is refused, and so is a tag of megabytes or excessive nesting.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict, deque
 from typing import TYPE_CHECKING
 from xml.parsers import expat
 
@@ -26,8 +26,10 @@ NO_START = "\x1fno start"
 """Key of a record whose task completes without a start."""
 _LONGEST_TAG = 1 << 20
 _DEEPEST = 64
-_MAX_EVENTS = 1 << 20
-"""Maximum number of events of one trace, which is held in memory as a whole."""
+_MAX_HELD = 1 << 27
+"""Maximum size of the events of one trace, bytes of text and _EACH for each value: a trace is held in memory as a
+whole. A size; it is 300 bytes for a usual event, so 400,000 events."""
+_EACH = 60
 _PIECE = 1 << 16
 _ENDS = {"complete": None, "ate_abort": "failed", "pi_abort": "failed", "withdraw": "failed", "abort": "failed"}
 _VALUES = {"string", "date", "int", "float", "boolean", "id"}
@@ -81,7 +83,7 @@ class XesRecords:
             yield from self._tasks(execution, events)
 
     def _tasks(self, execution: str | None, events: list[Record]) -> Iterator[Record]:
-        waiting: list[Record] = []
+        waiting = _Waiting()
         for event in events:
             record = _record(event, execution)
             transition = event.get("lifecycle:transition", "complete").lower()
@@ -89,9 +91,9 @@ class XesRecords:
                 yield record
             elif transition == "start":
                 record["start"] = record.pop("end", "")
-                waiting.append(record)
+                waiting.add(record)
             elif transition in _ENDS:
-                begun = _begun(waiting, record)
+                begun = waiting.taken(record)
                 if begun is None:
                     yield {NO_START: event.get("concept:name", "")}
                     continue
@@ -99,7 +101,7 @@ class XesRecords:
                 yield {**begun, **record, **({"outcome": outcome} if outcome else {})}
             else:
                 self.passed_over[transition] += 1
-        yield from waiting
+        yield from waiting.left.values()
 
 
 def _record(event: Record, execution: str | None) -> Record:
@@ -116,13 +118,33 @@ def _record(event: Record, execution: str | None) -> Record:
     return record | ({} if execution is None else {"execution": execution})
 
 
-def _begun(waiting: list[Record], ended: Record) -> Record | None:
-    """Remove and return the first started task that matches one that ends; None if there is none."""
-    for at, begun in enumerate(waiting):
-        same = all(begun.get(key) == ended.get(key) for key in ("task", "instance"))
-        if same and ("agent" not in ended or begun.get("agent") == ended["agent"]):
-            return waiting.pop(at)
-    return None
+class _Waiting:
+    """Started tasks that have not ended; those that an end may match are found without looking at the others.
+
+    Attributes:
+        left: Number -> task, in the order of their starts.
+    """
+
+    def __init__(self) -> None:
+        self.left: dict[int, Record] = {}
+        self._started = 0
+        self._queues: defaultdict[tuple[str | None, ...], deque[int]] = defaultdict(deque)
+
+    def add(self, begun: Record) -> None:
+        self.left[self._started] = begun
+        what = (begun.get("task"), begun.get("instance"))
+        for key in (what, (*what, begun.get("agent"))):
+            self._queues[key].append(self._started)
+        self._started += 1
+
+    def taken(self, ended: Record) -> Record | None:
+        """Remove and return the first started task that matches one that ends; None if there is none."""
+        what = (ended.get("task"), ended.get("instance"))
+        queue = self._queues[(*what, ended["agent"]) if "agent" in ended else what]
+        while queue:
+            if (begun := self.left.pop(queue.popleft(), None)) is not None:
+                return begun
+        return None
 
 
 class _Document:
@@ -130,14 +152,14 @@ class _Document:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._parser = expat.ParserCreate()
+        self._parser = expat.ParserCreate("utf-8")  # whatever it declares: `characters_of` has decoded it
         self._parser.buffer_text = False
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = self._end
         self._parser.StartDoctypeDeclHandler = self._refuse
         self._parser.EntityDeclHandler = self._refuse
         self._open: list[str] = []
-        self._fed = 0
+        self._fed = self._held = 0
         self._trace: Record = {}
         self._event: Record | None = None
         self._events: list[Record] = []
@@ -170,20 +192,21 @@ class _Document:
         elif name in _VALUES and around in ("event", "trace") and "key" in about:
             into = self._event if around == "event" and self._event is not None else self._trace
             into[about["key"]] = about.get("value", "")
+            self._held += _EACH + len(about["key"]) + len(about.get("value", ""))
+            if self._held > _MAX_HELD:
+                raise DamagedLog(self._path, f"a trace of more than {_MAX_HELD >> 20} MiB of events", cure="Split it.")
 
     def _end(self, tag: str) -> None:
         name = self._open.pop()
         if name == "event" and self._event is not None:
             self._events.append(self._event)
             self._event = None
-            if len(self._events) > _MAX_EVENTS:
-                raise DamagedLog(self._path, f"a trace of more than {_MAX_EVENTS} events", cure="Split it.")
         elif name == "trace":
             self._close_trace()
 
     def _close_trace(self) -> None:
         self._done.append((self._trace.get("concept:name"), self._events))
-        self._trace, self._events = {}, []
+        self._trace, self._events, self._held = {}, [], 0
 
     def _refuse(self, *about: object) -> None:
         cause = "it holds a document type declaration, which may define entities: not read"

@@ -66,7 +66,7 @@ def in_parts(
     if unknown:
         message = f"{unknown} values are written as NaN or infinity: unknown there"
         done = replace(done, warnings=(*done.warnings, message))
-    yield done
+    yield replace(done, warnings=(*done.warnings, *text_blocks.encoding_notes(path)))
 
 
 def _together(blocks: Iterable[TextRows]) -> Iterator[TextRows]:

@@ -27,7 +27,7 @@ Place = tuple[float, float, float]
 _DECODER = json.JSONDecoder()
 _SPACE = re.compile(r"[ \t\r\n]*")
 _CLOSE = {"[": "]", "{": "}"}
-_LONGEST = 1 << 26
+_LONGEST = 1 << 25
 """Maximum number of characters of one element: no tracker writes a longer frame; a longer one is garbled."""
 _NEAR_END = 1 << 16
 """Number of characters: invalid JSON farther than this from the end of the text read is garbled, not cut."""
@@ -135,8 +135,9 @@ class _Text:
             else:
                 length, cut = end - self._at, end + len("e+") >= len(self._text)  # the rest of a number may follow
                 if not cut or not isinstance(value, int | float) or not self._more():
+                    told = self._text[self._at : self._at + length]
                     self._at += length
-                    return value
+                    return _readable(value) if "\\ud" in told or "\\uD" in told else value
                 continue
             garbled = wrong < len(self._text) - _NEAR_END or len(self._text) - self._at > _LONGEST
             if garbled or not self._more():
@@ -177,6 +178,17 @@ def _walk(text: _Text, inside: str | None, name: str) -> Generator[tuple[str, ob
             return
         if not text.take(","):
             raise BrokenJson(text.place, "the document is cut or garbled")
+
+
+def _readable(value: object) -> object:
+    """Return a value with U+FFFD for halves of surrogate pairs, which JSON can write and no text can hold."""
+    if isinstance(value, str):
+        return value if value.isascii() else value.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    if isinstance(value, list):
+        return [_readable(one) for one in value]
+    if isinstance(value, dict):
+        return {_readable(key): _readable(inner) for key, inner in value.items()}
+    return value
 
 
 def number(value: object) -> float | None:

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 ONE_BY_ONE = 1 << 17
 """Size, bytes, down to which a faulty block is halved; a smaller one is read line by line."""
+_BYTES_A_COLUMN = 64
+"""The same for each column, bytes: a wide table takes time for each of its columns, however few lines are read."""
 _BLANKS = f"{CELL} \t"
 _CUT = "the last line has no line end: it was cut while being written"
 
@@ -127,7 +129,8 @@ class RowParser:
             yield self._at_once(table)
             return
         middle = self._middle(block)
-        if len(block) <= ONE_BY_ONE or not 0 < middle < len(block):
+        few = max(ONE_BY_ONE, _BYTES_A_COLUMN * len(self.layout.names))
+        if len(block) <= few or not 0 < middle < len(block):
             yield self._all_aside(block) or self._one_by_one(block)
             return
         for half in (block[:middle], block[middle:]):

@@ -1,7 +1,7 @@
 """Text logs as blocks of whole lines in UTF-8, whatever their encoding, line ends or compression.
 
-Logs may have a BOM, be in UTF-16, use the line ends of old machines (a bare CR), be compressed by gzip or zstd, and
-exceed memory. `delimited` interprets the lines.
+Logs may use the line ends of old machines (a bare CR), be compressed by gzip or zstd, and exceed memory. `encodings`
+finds the encoding, `delimited` interprets the lines.
 """
 
 from __future__ import annotations
@@ -14,10 +14,20 @@ import re
 import stat
 import sys
 import zlib
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, cast
 
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.text.encodings import (
+    GUESSED,
+    UTF_8,
+    WINDOWS,
+    declared_in,
+    decoded,
+    encoding_of,
+    is_known,
+    is_windows,
+)
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -39,30 +49,18 @@ _SMALL = 1 << 17
 _STEP = 1 << 16
 _PIECE = 1 << 19
 _GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
-_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _MAX_RATIO = 1000
 """Maximum compression ratio: no log reaches it, so a file beyond it is a decompression bomb."""
 _CELL = b"\x1f"
 _BARE_CR = re.compile(r"(?<!\r)\r++(?=[^\n])")
 """Carriage returns without a line feed: line ends of old machines, possibly mixed with others."""
 
+_assumed: dict[Path, tuple[int, int]] = {}
+"""Logs read so far whose encoding is a guess, with their size and time of change."""
+
 
 class _Bomb(OSError):
     """The decompressed data exceeds the maximum ratio to the file's size."""
-
-
-def encoding_of(first: bytes) -> str | None:
-    """Return the encoding indicated by the first bytes of a file; None for a binary file."""
-    for mark, encoding in _BOMS:
-        if first.startswith(mark):
-            return encoding
-    line = first.partition(b"\n")[0]  # a binary part or an unwritten disk block may follow the first line
-    if b"\0" not in line:
-        return "utf-8"
-    for encoding, high, low in (("utf-16-le", line[1::2], line[0::2]), ("utf-16-be", line[0::2], line[1::2])):
-        if len(line) >= 4 and high.count(0) > 0.9 * len(high) and 0 not in low:
-            return encoding
-    return None
 
 
 def file_encoding(path: Path) -> str | None:
@@ -91,7 +89,8 @@ def _decoded_first(path: Path, size: int, encoding: str | None, _bytes: int, _ch
     encoding = encoding or encoding_of(first)
     if not encoding:
         return ""
-    return _with_line_feeds(first.decode(encoding, "replace").removeprefix("\ufeff"))
+    text = "".join(decoded([first], encoding)).removesuffix("\ufffd" if len(first) == size else "")
+    return _with_line_feeds(text.removeprefix("\ufeff"))
 
 
 def head_lines(path: Path, count: int = 1, encoding: str | None = None) -> list[str]:
@@ -156,8 +155,8 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
     with _opened(path, about.st_size, about.st_mtime_ns) as file, _unpacked(file, path) as log:
         first = _first(path, HEAD_BYTES)
         bare_cr = b"\r" in first and bool(_BARE_CR.search(first.decode(encoding, "replace")))
-        plain = log is file and encoding in ("utf-8", "utf-8-sig") and not bare_cr
-        blocks = _plain_blocks(file, path) if plain else _decoded_blocks(log, path, encoding, bare_cr=bare_cr)
+        plain = log is file and encoding in UTF_8 and not bare_cr
+        blocks = _utf8_blocks(file, path) if plain else _decoded_blocks(log, path, encoding, bare_cr=bare_cr)
         try:
             for number, block in enumerate(blocks):
                 text = block.removeprefix(codecs.BOM_UTF8) if number == 0 else block
@@ -177,17 +176,18 @@ def characters_of(path: Path) -> Iterator[str]:
 
     Raises:
         OSError: The file cannot be read.
-        DamagedLog: It is not text, or its compressed data is damaged or a decompression bomb.
+        DamagedLog: It is not text, declares an encoding that nobody knows, or its compressed data is damaged or a
+            decompression bomb.
     """
-    encoding = file_encoding(path)
+    first = _first(path, HEAD_BYTES)
+    encoding = encoding_of(first)
     if encoding is None:
         raise DamagedLog(path, "not a text file: it begins with NUL bytes", cure="Check the copy.")
-    decoder = codecs.getincrementaldecoder(encoding)("replace")
+    if (declared := declared_in(first)) is not None and not is_known(declared):
+        raise DamagedLog(path, f"it declares the unknown encoding {declared!r}", cure="Export it again in UTF-8.")
     with path.open("rb") as file, _unpacked(file, path) as log:
         try:
-            while raw := log.read(_PIECE):
-                yield decoder.decode(raw)
-            yield decoder.decode(b"", final=True)
+            yield from decoded(iter(partial(log.read, _PIECE), b""), encoding, partial(_assume, path))
         except _Bomb as error:
             raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
         except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError) as error:
@@ -198,6 +198,36 @@ def _with_line_feeds(text: str) -> str:
     if text.count("\r") == text.count("\r\n"):  # true for nearly all logs
         return text
     return _BARE_CR.sub(lambda found: "\n" * len(found[0]), text)
+
+
+def begins_in_windows(path: Path) -> bool:
+    """Return whether the first bytes of a text log, which declares no encoding, are most likely Windows-1252."""
+    first = _first(path, HEAD_BYTES)
+    return encoding_of(first) in UTF_8 and not first.isascii() and is_windows(first)
+
+
+def _assume(path: Path) -> None:
+    _assumed[path] = _state(path)
+
+
+def _state(path: Path) -> tuple[int, int]:
+    about = path.stat()
+    return about.st_size, about.st_mtime_ns
+
+
+def encoding_notes(path: Path) -> tuple[str, ...]:
+    """Return a sentence if the encoding of a log that was read is a guess: neither UTF-8 nor declared."""
+    return (GUESSED,) if path in _assumed and _assumed[path] == _state(path) else ()
+
+
+def _utf8_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
+    windows = None
+    for block in _plain_blocks(log, path):
+        if windows is None and not block.isascii():
+            windows = is_windows(block)
+            if windows:
+                _assume(path)
+        yield block.decode(WINDOWS, "replace").encode() if windows else block
 
 
 def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
@@ -224,8 +254,10 @@ def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
 
 def _decoded_blocks(log: BinaryIO, path: Path, encoding: str, *, bare_cr: bool) -> Iterator[bytes]:
     rest = ""
-    for text in _decoded(log, encoding):
-        text = rest + text
+    for number, text in enumerate(
+        decoded(iter(partial(log.read, BLOCK_BYTES // 4), b""), encoding, partial(_assume, path))
+    ):
+        text = rest + (text if number else text.removeprefix("\ufeff"))
         if bare_cr:
             text = _with_line_feeds(text)  # a CR at the end of the text waits for the next character
         cut = text.rfind("\n") + 1
@@ -236,16 +268,6 @@ def _decoded_blocks(log: BinaryIO, path: Path, encoding: str, *, bare_cr: bool) 
             raise _too_long(path)
     if rest:
         yield (rest.replace("\r", "\n") if bare_cr else rest).encode("utf-8", "replace")
-
-
-def _decoded(log: BinaryIO, encoding: str) -> Iterator[str]:
-    decoder = codecs.getincrementaldecoder(encoding)("replace")
-    first = True
-    while raw := log.read(BLOCK_BYTES // 4):
-        text = decoder.decode(raw)
-        yield text.removeprefix("\ufeff") if first else text
-        first = False
-    yield decoder.decode(b"", final=True)
 
 
 def _too_long(path: Path) -> DamagedLog:

@@ -114,19 +114,21 @@ def number_in(name: str, layout: TextLayout) -> pl.Expr:
 def as_numbers(table: pl.DataFrame, layout: TextLayout, wanted: Wanted) -> tuple[pl.DataFrame, list[tuple[int, str]]]:
     """Return a table of texts with number columns cast and garbled rows removed, and the garbled rows with reasons."""
     garbled: dict[int, str] = {}
+    ready = table.select(number_in(name, layout).alias(name) for name in wanted.numbers)
+    numbers = ready.select(pl.col(name).cast(pl.Float64, strict=False) for name in wanted.numbers)
     for name in wanted.numbers:
-        number = table.select("source_row", text=pl.col(name), ready=number_in(name, layout)).with_columns(
-            number=pl.col("ready").cast(pl.Float64, strict=False)
-        )
-        bad = number.filter(pl.col("ready").is_not_null() & pl.col("number").is_null())
-        for row, text in bad.select("source_row", pl.col("text").str.strip_chars()).iter_rows():
+        if numbers[name].null_count() == ready[name].null_count():
+            continue
+        bad = table.filter(ready[name].is_not_null() & numbers[name].is_null())
+        for row, text in bad.select("source_row", pl.col(name).str.strip_chars()).iter_rows():
             garbled.setdefault(row, f"{text[:40]!r} in column {name!r} is not a number")
-        table = table.with_columns(number["number"].alias(name))
-    for name in wanted.texts:
+    unread = table.select(pl.col(name).str.contains(UNDECODED, literal=True).any() for name in wanted.texts)
+    for name in [one.name for one in unread.get_columns() if unread.height and one[0]]:
         bad = table.filter(pl.col(name).str.contains(UNDECODED, literal=True))
         for row, text in bad.select("source_row", name).iter_rows():
             cause = f"{text[:40]!r} in column {name!r} is not written in {layout.encoding}: see `encoding`"
             garbled.setdefault(row, cause)
+    table = table.with_columns(numbers.get_columns())
     if not garbled:
         return table, []
     return table.filter(~pl.col("source_row").is_in(list(garbled))), list(garbled.items())

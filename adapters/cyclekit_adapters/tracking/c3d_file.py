@@ -136,6 +136,8 @@ def _parameters(raw: bytes, begin: int, size: int, processor: int) -> _Parameter
         if group < 0:
             groups[-group] = name
         elif (item := _parameter(raw, after + 2, end)) is not None:
+            if 0 < step < 4 + len(item.shape) + len(item.raw):
+                break  # the next one would begin inside of it
             loose.append((group, name, item))
         if not step:
             break
@@ -206,7 +208,7 @@ def _points(file: _Open, processor: int, parameters: _Parameters, texts: dict[tu
     frame = width * (4 if scale < 0.0 else 2)
     held = max(file.size - (block - 1) * _BLOCK, 0) // frame
     used = min(frames, held)
-    if not used:
+    if used <= 0:
         raise DamagedLog(path, f"a header of {frames} frames and no whole frame of data", cure=_CURE)
     file.log.seek((block - 1) * _BLOCK)
     data = file.log.read(used * frame)

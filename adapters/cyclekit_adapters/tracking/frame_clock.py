@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit_adapters.text.delimited import INDEX
@@ -87,7 +88,8 @@ class FrameClock:
         if self.by_time or not self.rate_hz:
             return frame[TIME].alias("t_s")
         count = frame[FRAME].to_numpy() - self.first if FRAME in self.names else frame[INDEX].to_numpy()
-        exact = pl.Series("t_s", count / self.rate_hz, pl.Float64())
+        with np.errstate(over="ignore"):  # a garbled rate: such times are set aside
+            exact = pl.Series("t_s", count / self.rate_hz, pl.Float64())
         if TIME in self.names and len(exact):
             self._compare(exact, frame[TIME], frame["source_row"])
         return exact

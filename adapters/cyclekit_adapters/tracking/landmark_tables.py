@@ -144,8 +144,8 @@ def _read(header: list[str]) -> _Table:
             continue
         axis = _SEEN.get(axes[0], axes[0])
         rest = [word for word in words if word != axes[0] and word not in _FILLER]
-        numbers = [int(word) for word in rest if word.isdigit() and len(word) <= 3]
-        names = sorted(word for word in rest if not word.isdigit())
+        numbers = [int(word) for word in rest if word.isdecimal() and len(word) <= 3]
+        names = sorted(word for word in rest if not word.isdecimal())
         if not rest:
             table.plain.setdefault(axis, at)
         elif len(numbers) == 1 and _ABBREVIATED.issuperset(names):
@@ -235,7 +235,7 @@ def _tells_landmark(rows: list[list[str]], at: int) -> bool:
     named = sum(bool(_BODY.intersection(word.lower() for word in _PART.findall(cell))) for cell in cells)
     if named >= max(_FEW, len(cells) // 4):
         return True
-    if len(cells) < _FEW or not all(cell.isdigit() and len(cell) <= 3 for cell in cells):
+    if len(cells) < _FEW or not all(cell.isdecimal() and len(cell) <= 3 for cell in cells):
         return False
     numbers = np.array([int(cell) for cell in cells])
     again = numbers[1:] == numbers[0]

@@ -90,7 +90,7 @@ def are_nameless_landmarks(rows: Sequence[Sequence[str]]) -> bool:
 
 def _are_counted(cells: Sequence[str]) -> bool:
     """Return whether a row numbers its columns, as pandas does for columns without names."""
-    numbers = [int(cell) for cell in cells if cell.isdecimal()]
+    numbers = [int(cell) for cell in cells if cell.isdecimal() and len(cell) < 10]
     return len(numbers) >= len(cells) - _TRAIL and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 

@@ -148,13 +148,17 @@ def _require_counts(
         raise DamagedLog(path, f"{'; '.join(faults)} (line 3: {stated[:9]} markers)", cure=_WRITE)
 
 
+_MOST_FRAMES = 1e15
+"""Numbers of frames beyond it are no numbers of frames: 30,000 years at 1000 Hz."""
+
+
 def _clock(rows: list[tuple[str, ...]], rate_hz: float | None) -> FrameClock:
     """Return the clock: frame / rate with the zero of the Time column, or the Time column if the two contradict."""
     clock = FrameClock((FRAME, TIME), rate_hz, 1)
     begin = next((pair for row in rows if (pair := _pair(row))), None)
     if rate_hz and begin:
         zero = begin[0] - begin[1] * rate_hz
-        clock.first = round(zero)
+        clock.first = round(zero) if abs(zero) < _MOST_FRAMES else 0
         clock.by_time = abs(zero - clock.first) > _WHOLE_FRAME + 1e-3 * rate_hz
     if not clock.by_time:
         clock.decide(["\t".join(row) for row in rows], "\t")

@@ -19,6 +19,7 @@ from cyclekit.scaling.levels import find_staircase, second_opinion
 from cyclekit.scaling.levels.clusters import FINDERS
 from cyclekit.scaling.levels.staircase import PLATEAU
 from cyclekit.scaling.override_log import override_rows
+from cyclekit.text.numbers import compact
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class ScalingLevels(Result):
         return [{"level": level, "mean": mean, "share": share} for level, mean, share in every]
 
     def _lines(self) -> list[str]:
-        return [f"{len(self.levels)} levels by {self.method}: {', '.join(f'{level:.4g}' for level in self.levels)}"]
+        return [f"{len(self.levels)} levels by {self.method}: {', '.join(map(compact, self.levels))}"]
 
 
 @checked

@@ -166,7 +166,7 @@ class Asked:
             try:
                 evaluation = self._evaluated(self.model)
             except CyclekitError as error:  # the evaluation was not requested
-                missing.append(f"The model could not be evaluated: {error.seen}.")
+                missing.append(f"The model could not be evaluated: {error.seen.removesuffix('.')}.")
         return {
             "estimates": estimates or (),
             "evaluation": evaluation,
@@ -209,8 +209,9 @@ def _with_order(sequences: list[TaskSequence], planned: OrderPlan | None) -> lis
     if planned is None:
         return sequences
     order = planned.sequence(ORDER)
-    if any(each.places == order.places and each.operator is None for each in sequences):
-        return sequences
+    alike = [each for each in sequences if each.places == order.places and each.operator is None]
+    if alike:
+        return [replace(each, allowance=order.allowance) if each in alike else each for each in sequences]
     names = {each.name for each in sequences}
     name = next(name for n in count(1) if (name := ORDER if n == 1 else f"{ORDER} {n}") not in names)
     return [*sequences, replace(order, name=name)]

@@ -12,14 +12,17 @@ from cyclekit.api.given import (
     task_jobs_of,
 )
 from cyclekit.api.workbooks import need_workbook, sheets_of_plan
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ConfigError
+from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.plan.answer import OrderPlan, plan
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.plan.task_orders import TaskJobs, TaskOrderPlan, plan_tasks
 from cyclekit.estimate.robot.safety import SafetyModel
+from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.estimate.validation.check import Check
 from cyclekit.learning.task_times.runs import logged_runs
 from cyclekit.learning.task_times.saved import TaskTimesModel
@@ -73,6 +76,9 @@ def plan_order(
             raise ConfigError(seen, cure="Give a file that ends in .toml.")
         runs, _ = logged_runs(logs)
         both = plan_tasks(opened.card, task_jobs_of(jobs), runs, seed=seed, progress=progress)
+        work = work_of(TaskSequence.of_plan("", both.tasks).places)
+        if (today := baseline_of(logs, work, None, pace=both.estimate.pace)) is not None:
+            both = both.against_today(today)
         if file is not None:
             write_text(file, both.to_toml())
         return both

@@ -9,6 +9,7 @@ import typer
 
 from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal, table
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from cyclekit.alignment.calibrate import Calibration
@@ -39,5 +40,5 @@ def calibrate(
 def page(found: Calibration) -> str:
     """Return the residuals as a table, and the line for the cell file."""
     residuals = zip(found.points, found.fit.residual_m.tolist(), strict=True)
-    rows = [[name, f"{1000 * far:.1f}"] for name, far in residuals] + [["rms", f"{1000 * found.fit.rms_m:.1f}"]]
+    rows = [[name, fixed(1000 * far, 1)] for name, far in residuals] + [["rms", fixed(1000 * found.fit.rms_m, 1)]]
     return f"{table(['point ', 'off by, mm'], rows)}\n\n{found.line}"

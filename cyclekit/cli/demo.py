@@ -17,9 +17,10 @@ import typer
 
 from cyclekit.cli.light import light, marked
 from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Quiet, vector
-from cyclekit.cli.terminal import Terminal, bullet, duration, table, write_out
+from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 from cyclekit.cli.train import summary
 from cyclekit.errors import command_line
+from cyclekit.text.numbers import duration, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -207,9 +208,9 @@ def _table(estimates: CycleEstimates) -> str:
     rows = [
         [
             f"{rank}. {one.name}",
-            marked(one, f"{one.expected_s:.1f}"),
-            f"{one.expected_low_s:.1f} to {one.expected_high_s:.1f}",
-            f"{one.safety_loss_s:.1f}",
+            marked(one, fixed(one.expected_s, 1)),
+            f"{fixed(one.expected_low_s, 1)} to {fixed(one.expected_high_s, 1)}",
+            fixed(one.safety_loss_s, 1),
         ]
         for rank, one in enumerate(estimates, start=1)
     ]

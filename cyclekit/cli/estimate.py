@@ -26,7 +26,8 @@ from cyclekit.cli.options import (
     levels,
     seconds,
 )
-from cyclekit.cli.terminal import Terminal, bullet, percent, table
+from cyclekit.cli.terminal import Terminal, bullet, table
+from cyclekit.text.numbers import counted, decimals_of, exact_percent, fixed, given, percent, signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,19 +143,19 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
     from cyclekit.estimate.result import SPLIT
     from cyclekit.estimate.statistics.same_work import by_work
 
-    low, high = _range(found)
+    (low, high), places = _range(found), decimals_of(*(entry.expected_s for entry in found))
     parts = ["usual", "beside", "dwell", "wait"] if _of_lists(found) else SPLIT_HEADS
     idle = ["idle_s"] if any(one.plan for one in found) else []
-    heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", *parts, *(["idle"] if idle else [])]
+    heads = ["sequence ", "expected", f"{percent(high - low)} of cycles", *parts, *(["idle"] if idle else [])]
     works = by_work(found)
     tables = []
     for work, entries in works.items():
         rows = [
             [
                 f"{place}. {entry.name}" if len(entries) > 1 else entry.name,
-                marked(entry, f"{entry.expected_s:.1f} s"),
-                f"{entry.quantiles_s[low]:.0f}-{entry.quantiles_s[high]:.0f} s",
-                *(f"{getattr(entry, part):.1f}" for part in (*SPLIT, *idle)),
+                marked(entry, f"{fixed(entry.expected_s, places)} s"),
+                f"{fixed(entry.quantiles_s[low], places)}-{fixed(entry.quantiles_s[high], places)} s",
+                *(fixed(getattr(entry, part), places) for part in (*SPLIT, *idle)),
             ]
             for place, entry in enumerate(entries, start=1)
         ]
@@ -190,7 +191,7 @@ def ranking(found: Sequence[CycleEstimate]) -> str:
 
 def _per_visit(found: Sequence[CycleEstimate]) -> str:
     """Return the time per visit, the only number by which sequences of different work can be compared."""
-    rows = [[entry.name, str(len(entry.places) - 1), f"{entry.per_visit_s:.2f} s"] for entry in found]
+    rows = [[entry.name, str(len(entry.places) - 1), f"{fixed(entry.per_visit_s, 2)} s"] for entry in found]
     different = "The work differs: sequences are compared only with those of the same visits."
     return table(["sequence ", "visits", "per visit"], rows, title=different)
 
@@ -202,22 +203,23 @@ def takt_table(found: Sequence[CycleEstimate]) -> str:
         if entry.takt_probability is not None:
             share, low, high = entry.takt_probability
             rows.append([entry.name, percent(share), f"{percent(low)} to {percent(high)}"])
-    return table(["sequence ", f"within {found[0].takt_s:g} s", "95%"], rows) if rows else ""
+    return table(["sequence ", f"within {given(found[0].takt_s or 0.0)} s", "95 % CI"], rows) if rows else ""
 
 
 def validation(check: Check) -> str:
     """Return the result of the validation on logged executions."""
     lines = [
-        f"{check.executions} logged executions rolled out with {check.with_own}: bias {check.own_bias:+.2%} "
-        f"(95% CI +-{check.own_within:.2%}), {check.held_out} of them unseen by the network",
+        f"{counted(check.executions, 'logged execution')} rolled out with {check.with_own}: "
+        f"bias {signed_percent(check.own_bias, 2)} (95 % CI ± {percent(check.own_within, 2)}), "
+        f"{check.held_out} of them unseen by the network",
     ]
     if abs(check.factor - 1) >= 5e-5:
-        lines.append(f"every duration above is corrected by {check.factor - 1:+.2%}")
+        lines.append(f"every duration above is corrected by {signed_percent(check.factor - 1, 2)}")
     if check.coverage is not None:
         low, high = check.levels
         lines.append(
-            f"with {check.with_others}: {percent(check.coverage)} lie between the {100 * low:g}% and "
-            f"{100 * high:g}% quantiles, which should hold {percent(high - low)}"
+            f"with {check.with_others}: {percent(check.coverage)} lie between the {exact_percent(low)} and "
+            f"{exact_percent(high)} quantiles, which should hold {percent(high - low)}"
         )
     return "Backtest on logged executions\n" + bullet(lines)
 
@@ -232,11 +234,12 @@ def largest_losses(found: Sequence[CycleEstimate]) -> str:
             lines.append(f"{entry.name}: nothing is lost to safety")
             continue
         task, part = entry.costliest_task
-        text = f"{entry.name}: {task.safety_loss_s:.1f} of {entry.safety_loss_s:.1f} s at {task.task}, {_largest(part)}"
+        lost_s = fixed(task.safety_loss_s, 1), fixed(entry.safety_loss_s, 1)
+        text = f"{entry.name}: {' of '.join(lost_s)} s at {task.task}, {_largest(part)}"
         if entry.costliest_activity is not None:
             activity, lost = entry.costliest_activity
             where = "" if activity.startswith(OF_STATES) else "the operator at or on the way to "
-            text += f"; {lost:.1f} s with {where}{activity}"
+            text += f"; {fixed(lost, 1)} s with {where}{activity}"
             text += f", {_largest(lost / entry.safety_loss_s)}"
         lines.append(text)
     return "Where safety slows the robot\n" + bullet(lines)
@@ -258,8 +261,9 @@ def tasks_table(entry: CycleEstimate) -> str:
     """Return a table of mean seconds with one row per task of a sequence, in order."""
     from cyclekit.estimate.result import SPLIT
 
+    places = decimals_of(entry.expected_s)
     rows = [
-        [task.task, f"{task.expected_s:.1f}", *(f"{getattr(task, part):.1f}" for part in SPLIT)] for task in entry.tasks
+        [task.task, *(fixed(getattr(task, part), places) for part in ("expected_s", *SPLIT))] for task in entry.tasks
     ]
     return table(["task ", "expected, s", "motion", "safety", "dwell", "wait"], rows)
 
@@ -268,11 +272,12 @@ def plan_table(entry: CycleEstimate) -> str:
     """Return a table with one row per task of a plan for both agents: start, end, and cause of its wait."""
     from cyclekit.estimate.gantt import ALWAYS
 
-    rows = []
+    rows, places = [], decimals_of(entry.expected_s)
     for task in sorted(entry.plan, key=lambda one: one.start_s):
         cause, share = (task.ended_by if task.wait_s > MIN_WAIT_S else None) or ("-", ALWAYS)
         waited = cause if share >= ALWAYS else f"{cause} ({percent(share)})"
-        rows.append([task.agent, task.shown, f"{task.start_s:.1f}", f"{task.end_s:.1f}", f"{task.wait_s:.1f}", waited])
+        times = [fixed(value_s, places) for value_s in (task.start_s, task.end_s, task.wait_s)]
+        rows.append([task.agent, task.shown, *times, waited])
     rests = [PLAN_RESTS] if any(task.rest for task in entry.plan) else []
     shares = [PLAN_SHARES] if any(row[-1].endswith("%)") for row in rows) else []
     notes = bullet([*rests, *shares], mark="")
@@ -290,11 +295,10 @@ def basis_and_limits(found: Sequence[CycleEstimate]) -> str:
     every = [set(entry.limits) for entry in found]
     of_all = set.intersection(*every) if len(found) > 1 else set[str]()
     for entry in found:
-        tracks = f", {entry.tracks} cycles simulated" if entry.tracks else ""
+        tracks = f", {counted(entry.tracks, 'cycle')} simulated" if entry.tracks else ""
         lines.append(
-            f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions{tracks}; "
-            f"{_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
-            f"{entry.expected_high_s:.1f} s)"
+            f"{entry.name}: {entry.estimator}: {entry.why}; "
+            f"{counted(entry.executions, 'logged execution')}{tracks}; {_support(entry)}; mean {entry.mean_in_words}"
         )
         lines.extend(f"{entry.name}: {text}" for text in entry.limits if text not in of_all)
     lines.extend(text for text in (found[0].limits if of_all else ()) if text in of_all)

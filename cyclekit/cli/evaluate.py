@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import DatasetPlace, EngineName, Jobs, Json, OtherCell, Quiet, RayAddress, engine_of
-from cyclekit.cli.terminal import Terminal, bullet, percent, table
+from cyclekit.cli.terminal import Terminal, bullet, table
+from cyclekit.text.numbers import fixed, percent, scientific, signed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,7 +68,13 @@ def evaluate(
 def _beside(found: Mapping[str, Evaluation]) -> str:
     """Return a table with one row per model."""
     rows = [
-        [Path(place).name, one.network, str(one.metrics.rows), f"{one.metrics.mse_mean:.2e}", f"{one.metrics.mae:.4f}"]
+        [
+            Path(place).name,
+            one.network,
+            str(one.metrics.rows),
+            scientific(one.metrics.mse_mean),
+            fixed(one.metrics.mae, 4),
+        ]
         for place, one in found.items()
     ]
     return table(["model ", "network ", "samples", "MSE", "mean abs. error"], rows)
@@ -78,13 +85,15 @@ def _head(found: Evaluation) -> str:
     lines = [f"{found.network} for problem {found.problem}, judged on {len(found.executions)} executions {which}"]
     metrics = found.metrics
     named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels predicted correctly"
-    lines.append(f"{metrics.rows} samples: mean absolute error {metrics.mae:.4f}, bias {metrics.bias:+.4f}{named}")
+    lines.append(
+        f"{metrics.rows} samples: mean absolute error {fixed(metrics.mae, 4)}, bias {signed(metrics.bias, 4)}{named}"
+    )
     lines += [f"left out: {count} samples, {reason}" for reason, count in found.dropped.items()]
     return bullet(lines, mark="")
 
 
 def _errors(found: Evaluation) -> str:
-    rows = [[row.name, f"{row.mse:.2e}", row.note] for row in found.mse]
+    rows = [[row.name, scientific(row.mse), row.note] for row in found.mse]
     return table(["predicted by ", "MSE", "method "], rows)
 
 
@@ -97,7 +106,7 @@ def _better(found: Mapping[str, Evaluation], dataset: str) -> str:
 
 def _levels(found: Evaluation) -> str:
     rows = [
-        [f"{row.level:.2f}", str(row.rows), percent(row.recall), percent(row.precision), _signed(row.bias)]
+        [fixed(row.level, 2), str(row.rows), percent(row.recall), percent(row.precision), signed(row.bias, 4)]
         for row in found.levels
     ]
     return table(["level ", "samples", "found", "predicted correctly", "bias"], rows) if rows else ""
@@ -115,13 +124,10 @@ def _drift(found: Drift | None) -> str:
         lines.append(f"{name}: {f'CHANGED ({cure})' if changed else 'no change seen'}")
         named = sorted((shift for shift in shifts if shift.changed), key=lambda shift: -abs(shift.z))
         lines += [
-            f"  {shift.what}: {shift.before:.3f} -> {shift.after:.3f} ({shift.z:+.0f} standard errors)"
+            f"  {shift.what}: {fixed(shift.before, 3)} -> {fixed(shift.after, 3)} "
+            f"({signed(shift.z, 0)} standard errors)"
             for shift in named[:8]
         ]
     before, after = found.executions
     lines.append(f"compared: {before} executions of the training's logs with {after} of the newer ones")
     return "\n".join(["Since the training", *lines])
-
-
-def _signed(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:+.4f}"

@@ -9,6 +9,7 @@ import typer
 
 from cyclekit.cli.options import Json, ModelPlace, Quiet
 from cyclekit.cli.terminal import Terminal
+from cyclekit.text.numbers import scientific
 
 EXAMPLE = "cyclekit export model --out model.onnx"
 
@@ -28,5 +29,5 @@ def export(
     terminal = Terminal(json=json, quiet=quiet)
     done = export_model(model, out)
     off = done.difference
-    checked = "not checked: onnxruntime is not installed" if off is None else f"within {off:.0e} of cyclekit"
+    checked = "not checked: onnxruntime is not installed" if off is None else f"within {scientific(off, 0)} of cyclekit"
     terminal.done(done.to_dict(), f"{out}: {checked}")

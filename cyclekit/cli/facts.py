@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.cli.groups import grouped, regrouped
 from cyclekit.cli.lists import coupling_table, lost_table, response_lines, safety_lines, task_list_tables
-from cyclekit.cli.terminal import bullet, duration, percent, table
+from cyclekit.cli.terminal import bullet, table
 from cyclekit.dataset.cards import plain, texts
+from cyclekit.text.numbers import compact, duration, fixed, percent, scientific, signed
 from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def _log_rows(logs: Sequence[LogFacts]) -> str:
 
 
 def _rate(facts: TableFacts | None) -> str:
-    return f"{facts.rate_hz:.4g} Hz" if facts and facts.rate_hz else "unknown"
+    return f"{compact(facts.rate_hz, 4)} Hz" if facts and facts.rate_hz else "unknown"
 
 
 def _steps(facts: TableFacts) -> list[str]:
@@ -103,10 +104,10 @@ def _steps(facts: TableFacts) -> list[str]:
         return []
     if facts.lost:
         part = percent(facts.lost / (facts.lost + facts.rows))
-        return [f"            steps: {1000 * facts.step_s:.4g} ms (median), {facts.lost} samples lost ({part})"]
+        return [f"            steps: {compact(1000 * facts.step_s, 4)} ms (median), {facts.lost} samples lost ({part})"]
     if abs(facts.step_s * facts.rate_hz - 1.0) < UNEVEN:
         return []
-    return [f"            steps: {1000 * facts.step_s:.4g} ms (median), uneven"]
+    return [f"            steps: {compact(1000 * facts.step_s, 4)} ms (median), uneven"]
 
 
 def _log(log: LogFacts) -> str:
@@ -120,7 +121,7 @@ def _log(log: LogFacts) -> str:
     for name, facts in log.tables.items():
         lines += _table(name, facts)
     if log.levels:
-        shown = ", ".join(f"{v:.2f} ({percent(s)})" for v, s in zip(log.levels, log.level_share, strict=True))
+        shown = ", ".join(f"{fixed(v, 2)} ({percent(s)})" for v, s in zip(log.levels, log.level_share, strict=True))
         lines.append(bullet([f"{shown} of the rows with a known scaling"], mark="  scaling   "))
     if log.safety:
         lines += safety_lines(log.safety)
@@ -153,7 +154,7 @@ def _columns(names: Sequence[str]) -> list[str]:
 def _gaps(gaps: Sequence[Gap]) -> str:
     if not gaps:
         return "none"
-    shown = [f"{duration(gap.length_s)} at {gap.at_s:.1f} s" for gap in sorted(gaps, key=lambda g: -g.length_s)]
+    shown = [f"{duration(gap.length_s)} at {fixed(gap.at_s, 1)} s" for gap in sorted(gaps, key=lambda g: -g.length_s)]
     more = f" and {len(gaps) - SHOWN_GAPS} shorter" if len(gaps) > SHOWN_GAPS else ""
     return ", ".join(shown[:SHOWN_GAPS]) + more
 
@@ -169,7 +170,7 @@ def _dataset(found: DatasetDescription) -> str:
     ]
     head += [bullet([reason], mark=f"  set aside   {count} rows: ") for reason, count in found.set_aside.items()]
     levels = [
-        [f"{level:.2f}", percent(share), percent(share * found.on_level)]
+        [fixed(level, 2), percent(share), percent(share * found.on_level)]
         for level, share in zip(found.levels, found.level_share, strict=True)
     ]
     parts = ["\n".join(head)]
@@ -201,7 +202,8 @@ def to_log(plan: RecordingPlan | None) -> str:
 def _of_samples(found: DatasetDescription) -> list[str]:
     inferred = f", {percent(found.scaling_inferred)} of that inferred" if found.scaling_inferred else ""
     return [
-        f"  samples     {found.samples} at {found.rate_hz:g} Hz; operator seen in {percent(found.operator_seen)}",
+        f"  samples     {found.samples} at {compact(found.rate_hz)} Hz; "
+        f"operator seen in {percent(found.operator_seen)}",
         f"  scaling     known in {percent(found.scaling_known)} of them{inferred}",
         f"  in motion   known in {percent(found.motion_covered)} of the samples{_deviation(found)}",
         *([bullet([_reasons(found.scaling_gaps)], mark="  unknown     ")] if found.scaling_gaps else []),
@@ -209,7 +211,7 @@ def _of_samples(found: DatasetDescription) -> list[str]:
 
 
 def _deviation(found: DatasetDescription) -> str:
-    return "" if found.scaling_sd is None else f", to {found.scaling_sd:.4f} (median standard deviation)"
+    return "" if found.scaling_sd is None else f", to {fixed(found.scaling_sd, 4)} (median standard deviation)"
 
 
 def _reasons(counts: Mapping[str, int]) -> str:
@@ -227,18 +229,18 @@ def _clocks(clocks: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _clock(clock: Mapping[str, Any]) -> str:
-    parts = [str(clock["method"]), f"offset {clock.get('offset_s', 0.0):.3f} s"]
+    parts = [str(clock["method"]), f"offset {fixed(clock.get('offset_s', 0.0), 3)} s"]
     if abs(clock.get("rate", 1.0) - 1.0) > 1e-9:
-        parts.append(f"rate {1e6 * (clock['rate'] - 1.0):+.1f} ppm")
+        parts.append(f"rate {signed(1e6 * (clock['rate'] - 1.0), 1)} ppm")
     if "residual_s" in clock:
-        parts.append(f"residual {1000 * clock['residual_s']:.1f} ms")
+        parts.append(f"residual {fixed(1000 * clock['residual_s'], 1)} ms")
     if "events" in clock:
         rejected = f" ({clock['events_rejected']} rejected)" if clock.get("events_rejected") else ""
         parts.append(f"{clock['events']} {_counted(clock)}{rejected}")
     if "correlation" in clock:
-        parts.append(f"correlation {clock['correlation']:.2f}")
+        parts.append(f"correlation {fixed(clock['correlation'], 2)}")
     if "second_best" in clock:
-        parts.append(f"second-best fit {percent(clock['second_best'])} at {clock['second_best_s']:+.2f} s")
+        parts.append(f"second-best fit {percent(clock['second_best'])} at {signed(clock['second_best_s'], 2)} s")
     if "same_as" in clock:
         parts.append(f"that of {clock['same_as']}")
     return ", ".join(parts)
@@ -263,7 +265,7 @@ def _places(title: str, places: Mapping[str, Mapping[str, Any]]) -> str:
     rows = [
         [
             _labelled(name, place),
-            *(f"{round(value, 2) + 0.0:.2f}" for value in place["xyz_m"]),
+            *(fixed(round(value, 2) + 0.0, 2) for value in place["xyz_m"]),
             "found" if place["inferred"] else "named",
         ]
         for name, place in places.items()
@@ -278,7 +280,7 @@ def _labelled(name: str, place: Mapping[str, Any]) -> str:
 
 def _tasks(tasks: Sequence[Mapping[str, Any]]) -> str:
     def mean(value: float | None) -> str:
-        return "unknown" if value is None else f"{value:.1f}"
+        return "unknown" if value is None else fixed(value, 1)
 
     columns = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     rows = [[str(row["task"]), str(row["count"]), *(mean(row[name]) for name in columns)] for row in tasks]
@@ -297,7 +299,7 @@ def _model(found: ModelDescription) -> str:
         f"{found.path}: model",
         f"  problem    {found.problem}" + (f", horizon {duration(found.horizon_s)}" if found.horizon_s else ""),
         f"  network    {found.network}, {found.parameters} parameters",
-        f"  levels     {', '.join(f'{level:.2f}' for level in found.levels) or 'none'}",
+        f"  levels     {', '.join(f'{fixed(level, 2)}' for level in found.levels) or 'none'}",
         f"  trained    on dataset {card.dataset or 'unknown'}, seed {'unknown' if card.seed is None else card.seed}, "
         f"by cyclekit {card.cyclekit or 'unknown'}",
         f"  executions {', '.join(f'{count} {part}' for part, count in split.items()) or 'unknown'}",
@@ -305,8 +307,8 @@ def _model(found: ModelDescription) -> str:
     lines += [f"  dropped    {count} samples: {reason}" for reason, count in card.dropped.items()]
     if metrics is not None:
         named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels predicted correctly"
-        error = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}"
-        lines.append(bullet([f"{error}{named} ({metrics.rows} samples)"], mark="  held out   "))
+        errors = f"MSE {scientific(metrics.mse_mean)}, mean absolute error {fixed(metrics.mae, 4)}"
+        lines.append(bullet([f"{errors}{named} ({metrics.rows} samples)"], mark="  held out   "))
     page = "\n".join([*lines, bullet(texts(card.warnings), mark="  ! ")]).rstrip()
     return "\n\n".join(part for part in (page, coupling_table(card.coupling)) if part)
 

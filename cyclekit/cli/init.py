@@ -13,6 +13,7 @@ from cyclekit.cli.groups import grouped
 from cyclekit.cli.options import FollowLinks, Json, Quiet, Takt, seconds
 from cyclekit.cli.terminal import Terminal, bullet, table
 from cyclekit.errors import command_line
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from cyclekit.api.init import StartedProject
@@ -46,7 +47,7 @@ def init(
         terminal.remark(f"not read: {line}")
     terminal.warnings(grouped(found.warnings))
     if found.unread_bytes:
-        terminal.remark(f"not read yet: {found.unread_bytes / 1e9:.1f} GB; their warnings: cyclekit inspect LOGS")
+        terminal.remark(f"not read yet: {fixed(found.unread_bytes / 1e9, 1)} GB; their warnings: cyclekit inspect LOGS")
     terminal.done(found.to_dict(), _said(found))
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, Quiet
-from cyclekit.cli.terminal import Terminal, bullet, percent, table
+from cyclekit.cli.terminal import Terminal, bullet, table
+from cyclekit.text.numbers import compact, fixed, percent
 
 if TYPE_CHECKING:
     from cyclekit.api.levels import ScalingLevels
@@ -44,7 +45,7 @@ def levels(
 def _page(found: ScalingLevels) -> str:
     means = found.means or found.levels
     rows = [
-        [f"{level:.4g}", f"{mean:.4f}", percent(share)]
+        [compact(level, 4), fixed(mean, 4), percent(share)]
         for level, mean, share in zip(found.levels, means, found.share, strict=True)
     ]
     moving = 1 - sum(found.share)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.cli.terminal import bullet, duration, percent, table
+from cyclekit.cli.terminal import bullet, table
 from cyclekit.dataset.lost_time import CAUSE_NAMES
 from cyclekit.learning.coupling.words import habit_lines, wait_rows
 from cyclekit.scaling.response import MIN_RAMPS
+from cyclekit.text.numbers import compact, counted, duration, exact_percent, fixed, percent, span
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import CouplingCard
@@ -31,7 +32,7 @@ def task_list_tables(found: TaskListFacts) -> str:
             one.name,
             one.kind,
             f"{one.tasks}",
-            f"{one.overlaps}" + (f" (to {one.overlap_s:.1f} s)" if one.overlaps else ""),
+            f"{one.overlaps}" + (f" (to {fixed(one.overlap_s, 1)} s)" if one.overlaps else ""),
         ]
         for one in found.agents
     ]
@@ -54,7 +55,11 @@ def task_list_tables(found: TaskListFacts) -> str:
 def _said(found: TaskListFacts) -> list[str]:
     total = sum(one.tasks for one in found.agents)
     lasted = found.execution_s
-    spans = f", {lasted.least:.1f} to {lasted.most:.1f} s long (median {lasted.median:.1f} s)" if lasted else ""
+    spans = (
+        f", {fixed(lasted.least, 1)} to {fixed(lasted.most, 1)} s long (median {fixed(lasted.median, 1)} s)"
+        if lasted
+        else ""
+    )
     return [
         f"executions: {found.executions}{spans}" if found.executions else "executions: none named",
         f"outcome: {found.failed} of {total} tasks failed; without an end: {found.no_end}",
@@ -82,20 +87,20 @@ def response_lines(found: ResponseFacts | None) -> str:
 
 
 def _value(value: float | None, unit: str) -> str:
-    return "not seen" if value is None else f"{value:.3g} {unit}"
+    return "not seen" if value is None else f"{compact(value, 3)} {unit}"
 
 
 def _rate(per_s: float | None, error: float | None, changes: int) -> str:
     """Return a rate in percent per second, with its interval if that is wider than the rounding."""
     if per_s is None:
         return "at once" if changes >= 2 * MIN_RAMPS else "not known, too few changes"
-    low, high = (f"{max(0.0, 100.0 * (per_s + sign * Z95 * (error or 0.0))):.3g}" for sign in (-1, 1))
+    low, high = (f"{compact(max(0.0, 100.0 * (per_s + sign * Z95 * (error or 0.0))), 3)}" for sign in (-1, 1))
     interval = f" (95 % CI {low} to {high})" if low != high else ""
-    return f"{100.0 * per_s:.3g} % per second{interval}"
+    return f"{compact(100.0 * per_s, 3)} % per second{interval}"
 
 
 def _seconds(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.2f}"
+    return "unknown" if value is None else fixed(value, 2)
 
 
 def lost_table(found: LostTime | None) -> str:
@@ -107,49 +112,54 @@ def lost_table(found: LostTime | None) -> str:
     for cause in causes:
         stops = found.stops_per_hour.get(cause, 0.0)
         rows.append(
-            [CAUSE_NAMES[cause], f"{found.seconds[cause]:.1f}", f"{100 * found.share(cause):.1f}", f"{stops:.1f}"]
+            [CAUSE_NAMES[cause], fixed(found.seconds[cause], 1), fixed(100 * found.share(cause), 1), fixed(stops, 1)]
         )
         rows += [_level(one) for one in found.person if cause == "person"]
     total = sum(found.seconds.values())
     stops = sum(found.stops_per_hour.values())
-    rows.append(["all lost time", f"{total:.1f}", f"{100 * total / found.duration_s:.1f}", f"{stops:.1f}"])
+    rows.append(["all lost time", fixed(total, 1), fixed(100 * total / found.duration_s, 1), fixed(stops, 1)])
     shown = table(["time lost to ", "s", "% of time", "standstills per hour"], rows)
-    return f"{shown}\nstandstills: between places; changes of the speed scaling per hour: {found.changes_per_hour:.1f}"
+    changes = fixed(found.changes_per_hour, 1)
+    return f"{shown}\nstandstills: between places; changes of the speed scaling per hour: {changes}"
 
 
 def _level(one: PersonLoss) -> list[str]:
-    where = "" if one.nearest_m is None else f", operator {one.nearest_m:.2f} to {one.farthest_m:.2f} m away"
-    return [f"  at {percent(one.level)} speed{where}", f"{one.lost_s:.1f}", "", ""]
+    where = (
+        "" if one.nearest_m is None else f", operator {fixed(one.nearest_m, 2)} to {fixed(one.farthest_m, 2)} m away"
+    )
+    return [f"  at {percent(one.level)} speed{where}", fixed(one.lost_s, 1), "", ""]
 
 
 def _levels(read: OverrideResponse) -> str:
     """Return the levels of an override log, and the share of its rows on each."""
     shares = zip(read.levels, read.share, strict=True)
     return bullet(
-        [", ".join(f"{100 * v:g} % ({percent(share)} of the rows)" for v, share in shares)], mark="  levels    "
+        [", ".join(f"{exact_percent(v)} ({percent(share)} of the rows)" for v, share in shares)],
+        mark="  levels    ",
     )
 
 
 def safety_lines(found: SafetyFacts) -> list[str]:
     """Return the ranges of override and distance, and the time spent at each value of the override."""
     lines = []
-    if (span := found.override) is not None:
+    if (seen := found.override) is not None:
         values, total = found.override_values, max(found.override_s, 1e-9)
-        shown = ", ".join(f"{percent(s / total)} of the time at {100 * v:g} %" for v, s in values[:SHOWN_VALUES])
+        shown = ", ".join(f"{percent(s / total)} of the time at {exact_percent(v)}" for v, s in values[:SHOWN_VALUES])
         others = len(values) - SHOWN_VALUES
         rest = f", the rest at {others} other values" if others > 0 else ""
         known = duration(found.override_s)
         lines.append(
-            f"  override  {100 * span.least:g} to {100 * span.most:g} %, {len(values)} values, known for {known}"
+            f"  override  {compact(100 * seen.least)} to {exact_percent(seen.most)}, "
+            f"{counted(len(values), 'value')}, known for {known}"
         )
         values_line = bullet([f"{shown}{rest}"], mark=" " * 12)
         lines.append(_levels(found.response) if others > 0 and found.response else values_line)
         if (read := found.response) is not None and read.changes:
             down, up = (_rate(rate, None, read.changes) for rate in (read.down_per_s, read.up_per_s))
             lines.append(f"  response  slows by {down}, recovers by {up}")
-    if (span := found.distance_m) is not None:
+    if (seen := found.distance_m) is not None:
         repeats = f"{percent(found.distance_repeats)} of the rows repeat the one before"
-        said = f"{span.least:.2f} to {span.most:.2f} m (median {span.median:.2f} m); {repeats}"
+        said = f"{span(seen.least, seen.most, 2)} m (median {fixed(seen.median, 2)} m); {repeats}"
         lines.append(bullet([said], mark="  distance  "))
     return lines
 
@@ -161,7 +171,7 @@ def coupling_table(found: CouplingCard | None) -> str:
     rows = []
     for row in wait_rows(found):
         low_s, middle_s, high_s = row.lag_s
-        lag = [f"{middle_s:.1f}", f"{low_s:.1f} to {high_s:.1f}"]
+        lag = [fixed(middle_s, 1), span(low_s, high_s, 1)]
         rows.append([row.who, row.until, *lag, percent(row.condition.held), row.had_to_wait])
     if not rows:
         return f"waits of robot and operator for each other: none found in {found.executions} executions"

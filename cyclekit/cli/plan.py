@@ -10,6 +10,7 @@ import typer
 from cyclekit.cli.light import MARKS, light, light_of_findings
 from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal
+from cyclekit.text.numbers import counted, percent, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,16 +69,23 @@ def _both(found: TaskOrderPlan) -> str:
     """Return the order of both agents' tasks, and the time saved."""
     agents = dict.fromkeys(task.agent for task in found.tasks)
     lines = [f"{agent}: {', '.join(one.name for one in found.tasks if one.agent == agent)}" for agent in agents]
-    saved, low, high = found.saves_s
     return "\n".join(
         [
             *lines,
-            f"expected {found.estimate.expected_s:.1f} s; {found.against} {found.against_s:.1f} s on average",
-            f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%)",
-            f"search: {found.tried} orders scored; {found.estimate.executions} logged executions",
+            *_saved(found, found.estimate.expected_s),
+            f"search: {counted(found.tried, 'order')} scored; {counted(found.estimate.executions, 'logged execution')}",
             *found.estimate.limits,
         ]
     )
+
+
+def _saved(found: OrderPlan | TaskOrderPlan, expected_s: float, star: str = "") -> list[str]:
+    """Return the cycle time, that of the logged executions or of random orders, and what the order saves."""
+    return [
+        f"expected {seconds(expected_s, found.against_s)}{star}; "
+        f"{found.against} {seconds(found.against_s, expected_s)} on average",
+        f"saves {found.saving_in_words} a cycle",
+    ]
 
 
 def _orders(robot: str, operator: Sequence[str]) -> list[str]:
@@ -88,19 +96,14 @@ def _text(found: OrderPlan) -> str:
     from cyclekit.estimate.finding import worst
     from cyclekit.estimate.plan import some
 
-    saved, low, high = found.saves_s
-    order, mark = ", ".join(found.order), MARKS[worst(found.findings)]
-    seen = [
-        f"saves {saved:z.1f} s a cycle ({low:z.1f} to {high:z.1f} s, 95%) with the logged operators",
-        f"of that {found.saves_unseen_s:z.1f} s with operators that were not used to choose the order",
-    ]
-    both = [f"saves {saved:z.1f} s a cycle ({low:z.1f} to {high:z.1f} s, 95%)"]
+    order = ", ".join(found.order)
     lines = [
         *([f"order: {order}"] if found.operator is None else _orders(order, found.operator)),
-        f"expected {found.expected_s:.1f} s{mark}; {found.against} {found.against_s:.1f} s on average",
-        *(both if found.drawn_alike else seen),
-        f"{found.searched}: {found.tried} orders scored; {found.executions} logged executions",
+        *_saved(found, found.expected_s, MARKS[worst(found.findings)]),
+        f"{found.searched}: {counted(found.tried, 'order')} scored; {counted(found.executions, 'logged execution')}",
     ]
+    if found.allowance > 1.0:
+        lines.append(f"expected: with {percent(found.allowance - 1.0, 1)} more, because the same logs chose the order")
     if found.unlogged:
         lines.append(
             f"left out: orders that need a task that was never logged; log these tasks to include the orders: "

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, OtherCell, Quiet, seconds
-from cyclekit.cli.terminal import Terminal, duration, megabytes, table
+from cyclekit.cli.terminal import Terminal, table
 from cyclekit.errors import command_line
-from cyclekit.text.numbers import whole_percent
+from cyclekit.text.numbers import duration, fixed, megabytes, whole_percent
 
 if TYPE_CHECKING:
     from cyclekit.replay import Miss, ReplayFacts
@@ -98,11 +98,11 @@ def _worst(misses: tuple[Miss, ...]) -> str:
         return ""
     rows = [
         [
-            f"{miss.t_s:.1f} s",
+            f"{fixed(miss.t_s, 1)} s",
             whole_percent(miss.logged),
             whole_percent(miss.predicted),
-            f"{miss.seconds:.1f} s",
-            f"{miss.distance_m:.2f} m",
+            f"{fixed(miss.seconds, 1)} s",
+            f"{fixed(miss.distance_m, 2)} m",
             miss.robot_task or "",
         ]
         for miss in misses[:5]

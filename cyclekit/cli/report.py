@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cyclekit.cli.options import Baseline, Checked, DatasetPlace, Extrapolate, Json, OtherCell, Quiet, Takt, seconds
-from cyclekit.cli.terminal import Terminal, megabytes
+from cyclekit.cli.terminal import Terminal
+from cyclekit.text.numbers import megabytes
 
 if TYPE_CHECKING:
     from cyclekit.report import ReportFacts

@@ -6,7 +6,6 @@ document.
 
 from __future__ import annotations
 
-import math
 import shutil
 import sys
 import threading
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from cyclekit.text.numbers import FOR_TERMINALS, duration, percent
 from cyclekit.text.plain_json import json_text
 from cyclekit.text.plain_text import one_line, visible
 
@@ -100,8 +100,8 @@ def _fitted(line: str, width: int) -> str:
 
 
 def _print(text: str, *, err: bool = False) -> None:
-    """Print text with terminal control characters escaped."""
-    typer.echo(visible(text), err=err)
+    """Print text with terminal control characters escaped, and with the signs that every terminal has."""
+    typer.echo(visible(text).translate(FOR_TERMINALS), err=err)
 
 
 def write_json(document: Mapping[str, Any]) -> None:
@@ -230,7 +230,7 @@ class _Lines:
             if spent_s < self.next_s or fraction >= 1:
                 return
             self.next_s = spent_s * 2
-            far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
+            far = f"{percent(fraction)} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
             shows_left = fraction >= 0.01  # below one percent, the remaining time is too uncertain
             left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if shows_left else ""
             _print(f"{self.title}: {far}{left}  {one_line(self.text)}".rstrip(), err=True)
@@ -265,39 +265,12 @@ def _drawn(title: str) -> Iterator[Progress]:
 
         def show(fraction: float, text: str) -> None:
             spent_s = max(time.monotonic() - began_s, 1e-9)
-            rate = f"{100 * fraction / spent_s:.1f} %/s" if fraction > 0 else ""
+            rate = f"{percent(fraction / spent_s)}/s" if fraction > 0 else ""
             if fraction > 0:
                 bar.update(task, total=1.0, completed=min(fraction, 1.0))
             bar.update(task, text=one_line(text), rate=rate)
 
         yield show
-
-
-def duration(seconds: float) -> str:
-    """Return a duration as text: `0.8 s`, `12 s`, `3 min 5 s`, `1 h 20 min`."""
-    if seconds < 9.95:
-        return f"{seconds:.1f} s"
-    if seconds < 119.5:
-        return f"{seconds:.0f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes < 60:
-        return f"{minutes} min {rest} s"
-    return f"{minutes // 60} h {minutes % 60} min"
-
-
-def megabytes(count: int) -> str:
-    """Return the size of a file as text: `12 kB`, `1.4 MB`."""
-    return f"{count / 1e6:.1f} MB" if count >= 1_000_000 else f"{max(1, round(count / 1e3))} kB"
-
-
-def percent(fraction: float | None) -> str:
-    """Return a fraction in percent; `unknown` for None."""
-    if fraction is None or math.isnan(fraction):
-        return "unknown"
-    whole = round(100 * fraction)
-    if whole == 100 and fraction < 1:
-        return ">99%"
-    return "<1%" if whole == 0 and fraction > 0 else f"{whole}%"
 
 
 def bullet(texts: Sequence[str], *, mark: str = "- ", width: int = 80) -> str:

@@ -9,6 +9,7 @@ import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal
+from cyclekit.text.numbers import compact, fixed
 
 if TYPE_CHECKING:
     from cyclekit.dataset.trace import Trace
@@ -47,12 +48,12 @@ def trace(
 
 def page(found: Trace) -> str:
     """Return a sample and its source lines as text."""
-    lines = [f"execution {found.execution}, sample at {found.sample['t_s']:.3f} s of its session"]
+    lines = [f"execution {found.execution}, sample at {_shown(found.sample['t_s'])} s of its session"]
     lines += [f"  {name}: {_shown(value)}" for name, value in found.sample.items() if name not in ("execution", "t_s")]
     for origin in found.origins:
         among = f" of {origin.among}" if origin.among else ""
         place = f"{origin.row_is} {origin.source_row}{among}" if origin.source_row is not None else "no row"
-        lines.append(f"{origin.table}: {origin.file}, {place}, {origin.t_s:.3f} s")
+        lines.append(f"{origin.table}: {origin.file}, {place}, {fixed(origin.t_s, 3)} s")
         if origin.text is not None:
             lines.append(f"  {origin.text[:400]}")
         else:
@@ -61,4 +62,4 @@ def page(found: Trace) -> str:
 
 
 def _shown(value: Any) -> str:  # noqa: ANN401 - whatever a table holds
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return compact(value, 6) if isinstance(value, float) else str(value)

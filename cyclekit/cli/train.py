@@ -18,6 +18,7 @@ from cyclekit.cli.options import (
     whole_numbers,
 )
 from cyclekit.cli.terminal import Terminal
+from cyclekit.text.numbers import fixed, percent, scientific, signed_percent
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
@@ -170,7 +171,7 @@ def task_times_summary(found: TaskTimesModel) -> str:
     from cyclekit.cli.terminal import table
 
     rows = [
-        [task.agent, task.task, str(len(task.work_s)), f"{task.usual_s:.1f}", ", ".join(task.waits_for[1:]) or "-"]
+        [task.agent, task.task, str(len(task.work_s)), fixed(task.usual_s, 1), ", ".join(task.waits_for[1:]) or "-"]
         for task in found.card.tasks
     ]
     heads = ["agent ", "task ", "times", "mean, s", "waits for"]
@@ -179,8 +180,8 @@ def task_times_summary(found: TaskTimesModel) -> str:
     if held_out is not None:
         held = (
             f"held out: {held_out.orders} order{'s' * (held_out.orders != 1)}, "
-            f"mean cycle time {held_out.bias:+.1%} off (+-{held_out.within:.1%}), "
-            f"spread over orders {held_out.order_error:.1%}"
+            f"mean cycle time {signed_percent(held_out.bias, 1)} off (+-{percent(held_out.within)}), "
+            f"spread over orders {percent(held_out.order_error)}"
         )
     lines = [held, *found.card.notices]
     text = "\n".join(f"  {line}" for line in lines)
@@ -204,12 +205,14 @@ def summary(card: TrainingCard) -> str:
     from cyclekit.dataset.cards import SplitCard
 
     metrics, split = card.metrics, card.split or SplitCard()
-    levels = "levels " + (", ".join(f"{level.value:.2f}" for level in card.levels or ()) or "none found")
+    levels = "levels " + (", ".join(fixed(level.value, 2) for level in card.levels or ()) or "none found")
     levels = "continuous" if card.rule is not None and card.rule.law is not None else levels
     held_out = "nothing"
     if metrics is not None:
-        named = "" if metrics.accuracy is None else f", {100 * metrics.accuracy:.1f}% of levels predicted correctly"
-        held_out = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}{named}"
+        named = (
+            "" if metrics.accuracy is None else f", {fixed(100 * metrics.accuracy, 1)}% of levels predicted correctly"
+        )
+        held_out = f"MSE {scientific(metrics.mse_mean)}, mean absolute error {fixed(metrics.mae, 4)}{named}"
     rule = "" if card.rule is None else "".join(f"\n  {line}" for line in rule_lines(card.rule))
     return (
         f"{card.network} for problem {card.problem}, speed scaling: {levels}\n"
@@ -223,7 +226,7 @@ def rule_lines(rule: RuleCard) -> list[str]:
     """Return the rule that replaces the network, and the share of levels that it explains."""
     from cyclekit.learning.rules.words import kind_of, sentences
 
-    network = "" if rule.network is None else f" (the network {rule.network:.2%})"
+    network = "" if rule.network is None else f" (the network {percent(rule.network, 2)})"
     right = "scaling right within 2 %" if rule.law is not None else "commanded level right"
-    first = f"answers: the rule {kind_of(rule)}; {right} in {rule.explained:.2%} of held-out samples"
+    first = f"answers: the rule {kind_of(rule)}; {right} in {percent(rule.explained, 2)} of held-out samples"
     return [f"{first}{network}", *(f"- {sentence}" for sentence in sentences(rule))]

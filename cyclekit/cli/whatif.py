@@ -12,6 +12,7 @@ from cyclekit.cli.estimate import not_answered
 from cyclekit.cli.light import light, marked
 from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet, SequenceFile
 from cyclekit.cli.terminal import Terminal, bullet, table
+from cyclekit.text.numbers import difference, fixed, interval
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,19 +76,19 @@ def whatif(
 def _table(found: Sequence[WhatIf]) -> str:
     rows = []
     for entry in found:
-        saved, low, high = entry.saves_s
-        after = entry.after
+        after, places = entry.after, entry.decimals
+        saved = fixed(difference(entry.before.expected_s, after.expected_s, places), places)
         rows.append(
             [
                 entry.change,
                 after.name,
-                marked(entry.before, f"{entry.before.expected_s:.1f}"),
-                marked(after, f"{after.expected_s:.1f}"),
-                f"{after.expected_low_s:.1f}-{after.expected_high_s:.1f}",
-                f"{saved:z.1f} ({low:z.1f} to {high:z.1f})",
+                marked(entry.before, fixed(entry.before.expected_s, places)),
+                marked(after, fixed(after.expected_s, places)),
+                interval(after.expected_low_s, after.expected_high_s, places),
+                f"{saved} ({interval(*entry.saves_s[1:], places)})",
             ]
         )
-    return table(["change ", "sequence ", "before, s", "after, s", "mean (95%)", "saves, s"], rows)
+    return table(["change ", "sequence ", "before, s", "after, s", "95 % CI, s", "saves, s (95 % CI)"], rows)
 
 
 def _limits(found: Sequence[WhatIf]) -> str:

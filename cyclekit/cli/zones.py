@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cyclekit.cli.options import DatasetPlace, Extrapolate, Json, ModelPlace, OtherCell, Quiet
-from cyclekit.cli.terminal import Terminal, bullet, percent, table
-from cyclekit.text.numbers import exact_percent
+from cyclekit.cli.terminal import Terminal, bullet, table
+from cyclekit.text.numbers import compact, exact_percent, fixed, percent, signed
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import RuleCard
@@ -155,7 +155,7 @@ def _why(found: SafetyFunction) -> list[str]:
 
 def _levels(found: SafetyFunction) -> str:
     levels = ", ".join(
-        f"{level:.2f} ({percent(share)})" for level, share in zip(found.levels, found.shares, strict=True)
+        f"{fixed(level, 2)} ({percent(share)})" for level, share in zip(found.levels, found.shares, strict=True)
     )
     return f"levels, share of the samples: {levels}"
 
@@ -165,7 +165,7 @@ def _from(found: SafetyFunction) -> str:
 
 
 def _rule(found: SafetyFunction) -> str:
-    late = "unknown" if found.hysteresis_m is None else f"{found.hysteresis_m:.3f} m ({found.hysteresis_origin})"
+    late = "unknown" if found.hysteresis_m is None else f"{fixed(found.hysteresis_m, 3)} m ({found.hysteresis_origin})"
     rule = f"the speed depends on: {found.rule}"
     return bullet([_levels(found), rule, f"hysteresis: {late}", _from(found)], mark="")
 
@@ -175,8 +175,8 @@ def _thresholds(found: SafetyFunction) -> str:
         return ""
     rows = [
         [
-            f"{entry.slower:.2f} -> {entry.faster:.2f}",
-            *(f"{metres:.3f}" for metres in (entry.metres, entry.low, entry.high, network)),
+            f"{fixed(entry.slower, 2)} -> {fixed(entry.faster, 2)}",
+            *(fixed(metres, 3) for metres in (entry.metres, entry.low, entry.high, network)),
         ]
         for entry, network in zip(found.thresholds, found.thresholds_of_network, strict=True)
     ]
@@ -186,7 +186,7 @@ def _thresholds(found: SafetyFunction) -> str:
 
 def _explained(found: SafetyFunction) -> str:
     best = sorted(found.explained.items(), key=lambda entry: -entry[1])
-    return table(["explained by ", "of the variance"], [[name, f"{share:.1%}"] for name, share in best])
+    return table(["explained by ", "of the variance"], [[name, percent(share)] for name, share in best])
 
 
 def _costs(costs: SafetyCosts) -> str:
@@ -197,14 +197,14 @@ def _costs(costs: SafetyCosts) -> str:
         rows = [
             [
                 parameter_label(one),
-                f"{one.value:.3g} {one.unit}",
+                f"{compact(one.value, 3)} {one.unit}",
                 step_label(one),
-                f"{one.costs_s:+.3f}",
-                f"{one.standard_error_s:.3f}",
+                signed(one.costs_s, 3),
+                fixed(one.standard_error_s, 3),
             ]
             for one in each.parameters
         ]
-        title = f"What a change costs, {each.sequence!r}: {each.expected_s:.1f} s by the rule"
+        title = f"What a change costs, {each.sequence!r}: {fixed(each.expected_s, 1)} s by the rule"
         tables.append(table(["number ", "now", "change", "costs, s", "SE"], rows, title=title))
     return "\n\n".join([*tables, bullet([*costs.notes, costs.safety])])
 
@@ -215,13 +215,14 @@ def _margins(found: Margins | None) -> str:
     rows = [
         [
             f"{exact_percent(row.speed)} beyond",
-            *(f"{metres:.3f}" for metres in (row.threshold_m, row.separation_m)),
-            "-" if row.margin_m is None else f"{row.margin_m:+.3f}",
-            f"{row.costs_s_per_cm:+.3f}",
+            *(fixed(metres, 3) for metres in (row.threshold_m, row.separation_m)),
+            "-" if row.margin_m is None else signed(row.margin_m, 3),
+            signed(row.costs_s_per_cm, 3),
         ]
         for row in found.thresholds
     ]
     title = f"Thresholds compared with the protective separation distance S_p. {found.safety}"
     text = table(["speed ", "threshold, m", "S_p, m", "margin, m", "costs, s/cm"], rows)
-    late = f"where every threshold follows S_p, 10 ms of reaction time cost {found.reaction_costs_s_per_10_ms:+.3f} s"
+    costs = signed(found.reaction_costs_s_per_10_ms, 3)
+    late = f"where every threshold follows S_p, 10 ms of reaction time cost {costs} s"
     return "\n".join([bullet([title], mark=""), text, bullet([late, *found.notes])])

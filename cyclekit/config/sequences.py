@@ -25,6 +25,8 @@ PLAN = "plan"
 """First entry of the places of a plan for robot and operator."""
 MAX_S, EARLY_S = 1e7, 1e-3
 """Maximum length of a plan, s; tolerance for a start slightly below zero, s."""
+MOST_ALLOWED = 2.0
+"""Maximum allowance: an order that is chosen for half of its cycle time by chance alone is no answer."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ class TaskSequence:
     """A task sequence of the robot: places in order, the start first; optionally the operator's places meanwhile.
 
     `file` is the source, for messages. If the sequence is a plan for robot and operator, `plan` has the tasks of both,
-    in order for each agent, and `places` has their names.
+    in order for each agent, and `places` has their names. `allowance` is a factor on the cycle time that `plan` writes:
+    the order that comes out shortest of many comes out too short beside the operators that it was chosen with.
     """
 
     name: str
@@ -62,6 +65,7 @@ class TaskSequence:
     operator: tuple[str, ...] | None = None
     file: Path | None = None
     plan: tuple[PlannedTask, ...] = ()
+    allowance: float = 1.0
 
     @classmethod
     def of_plan(cls, name: str, plan: Sequence[PlannedTask], file: Path | None = None) -> TaskSequence:
@@ -120,6 +124,7 @@ class _Entry:
     places: tuple[str, ...] | None = None
     tasks: tuple[str, ...] | None = None
     operator: tuple[str, ...] | None = None
+    allowance: float = 1.0
     task: tuple[_Task, ...] = ()
 
 
@@ -141,7 +146,11 @@ def _sequence(path: Path, entry: _Entry, index: int) -> TaskSequence:
     places = entry.places if entry.places is not None else _joined(where, entry.tasks or ())
     if len(places) < 2:
         raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")
-    return TaskSequence(entry.name or f"sequence {index + 1}", places, entry.operator, path)
+    if not 1.0 <= entry.allowance <= MOST_ALLOWED:
+        seen = f"{where}: allowance = {entry.allowance:g} is not between 1 and {MOST_ALLOWED:g}"
+        raise ConfigError(seen, cure="Leave it as plan wrote it, or out.")
+    name = entry.name or f"sequence {index + 1}"
+    return TaskSequence(name, places, entry.operator, path, allowance=entry.allowance)
 
 
 def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
@@ -150,7 +159,7 @@ def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
     Raises:
         ConfigError: It has places too, or an earliest start is invalid.
     """
-    if any(part is not None for part in (entry.places, entry.tasks, entry.operator)):
+    if any(part is not None for part in (entry.places, entry.tasks, entry.operator)) or entry.allowance != 1.0:
         msg = f"{where}: [[sequence.task]] together with places, tasks or operator"
         raise ConfigError(msg, cure="Write either: a plan names the tasks of both agents itself.")
     for task in entry.task:

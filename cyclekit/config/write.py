@@ -88,6 +88,8 @@ def sequence_to_toml(sequence: TaskSequence) -> str:
     lines = ["[[sequence]]", f"name = {toml_value(sequence.name)}"]
     if not sequence.plan:
         lines.append(f"places = {toml_value(list(sequence.places))}")
+    if sequence.allowance != 1.0:
+        lines.append(f"allowance = {toml_value(sequence.allowance)}  # chosen among many orders by the same logs")
     for task in sequence.plan:
         lines += ["", "[[sequence.task]]", f"agent = {toml_value(task.agent)}", f"name = {toml_value(task.name)}"]
         lines += [] if task.not_before_s is None else [f"not_before_s = {toml_value(task.not_before_s)}"]

@@ -11,6 +11,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.finding import Finding, light_of, merged
 from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.result import SPLIT, CycleEstimate
+from cyclekit.text.numbers import counted
 from cyclekit.text.plain_text import csv_text
 from cyclekit.text.results import Result
 
@@ -45,7 +46,7 @@ class Refusal:
     @property
     def reason(self) -> str:
         """The reason and its cure in one line."""
-        return ". ".join(part for part in (self.error.seen, self.error.cure) if part)
+        return ". ".join(part for part in (self.error.seen.removesuffix("."), self.error.cure) if part)
 
     @property
     def why(self) -> str:
@@ -162,11 +163,8 @@ class CycleEstimates(Answers[CycleEstimate]):
         return heads, rows
 
     def _lines(self) -> list[str]:
-        means = [
-            f"{one.name!r} {one.expected_s:.1f} s (95% CI {one.expected_low_s:.1f} to {one.expected_high_s:.1f} s)"
-            for one in self
-        ]
-        return [f"{len(self)} sequences", *means, *(f"not answered: {one.error.seen}" for one in self.refused)]
+        means = [f"{one.name!r} {one.mean_in_words}" for one in self]
+        return [counted(len(self), "sequence"), *means, *(f"not answered: {one.error.seen}" for one in self.refused)]
 
 
 def together(refused: Sequence[Refusal]) -> EstimateError:

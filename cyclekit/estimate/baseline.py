@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,9 +25,12 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.task_model import PaceCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.statistics.same_work import Work
+    from cyclekit.estimate.validation.check import Check
     from cyclekit.learning.task_times.runs import Run
     from cyclekit.schema import Floats, Vector
 
+LOGGED = "logged executions"
+"""Name of a baseline of logged executions, beside `random orders`."""
 MIN_RUNS = 5
 """Minimum number of executions of the usual order to use it alone as baseline; below it, all of the same work."""
 LEVELS = (0.05, 0.5, 0.95)
@@ -48,7 +51,8 @@ class Baseline:
         others: Number of executions of the same work in other orders, which do not count.
         names: Names of the executions.
         sequence: Name of the sequence chosen as baseline; None without one.
-        as_logged_s: Mean cycle time as logged, if all else is at the operator's latest pace; None: all is as logged.
+        as_logged_s: Mean cycle time as logged, if all else is at the operator's latest pace or rolled out like the
+            estimates (`rolled_out`); None: all is as logged.
         pace_share: Share of a cycle that follows the operator's pace; None: all is as logged.
     """
 
@@ -64,6 +68,25 @@ class Baseline:
     sequence: str | None = None
     as_logged_s: float | None = None
     pace_share: float | None = None
+
+    def rolled_out(self, check: Check | None) -> Baseline:
+        """Return logged executions as estimates have them, with any operators: only the order then differs.
+
+        Args:
+            check: The validation of the estimates; None changes nothing.
+        """
+        by = 1.0 if check is None or not self.executions else check.like_for_like
+        if by == 1.0:
+            return self
+        times_s = {name: by * getattr(self, name) for name in ("mean_s", "low_s", "high_s")}
+        logged_s = self.mean_s if self.as_logged_s is None else self.as_logged_s
+        return replace(self, **times_s, as_logged_s=logged_s)
+
+    def saving(self, found: CycleEstimate) -> tuple[float, float, float]:
+        """Return what an estimate saves against this, s, with the 95 % interval of two independent means."""
+        saved_s = self.mean_s - found.expected_s
+        off_s = float(np.hypot(self.high_s - self.low_s, found.expected_high_s - found.expected_low_s)) / 2
+        return saved_s, saved_s - off_s, saved_s + off_s
 
     @property
     def missed_share(self) -> float | None:

@@ -89,6 +89,7 @@ def entry_of(
         check=check,
         combined=means.combined,
         operator_at=operator_at(tracks, expected) if tracks else {},
+        allowance=sequence.allowance,
     )
 
 

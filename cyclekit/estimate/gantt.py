@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from cyclekit.estimate.result import AWAY, ELSEWHERE, MAJORITY, OF_STATES, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.plots import colours
 from cyclekit.plots.gantt import Arrow, Bar, BarLabel, Block, Layer, TaskEnds, draw_gantt
-from cyclekit.text.numbers import whole_percent
+from cyclekit.text.numbers import fixed, given, span, whole_percent
 from cyclekit.text.plain_text import shown_task
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def legend_of(found: Sequence[CycleEstimate], takt_s: float | None = None) -> di
     legend |= {text: colour for text, colour in known.items() if colour in drawn}
     known = {name: colour for name, colour in _operator_colours(found).items() if name != AWAY}
     legend |= {name if name.startswith(OF_STATES) else f"operator at {name}": known[name] for name in known}
-    return legend | ({f"{_TAKT} {takt_s:g} s": colours.SCALING_ANCHORS[0][1]} if takt_s is not None else {})
+    return legend | ({f"{_TAKT} {given(takt_s)} s": colours.SCALING_ANCHORS[0][1]} if takt_s is not None else {})
 
 
 def blocks_of(found: Sequence[CycleEstimate]) -> list[Block]:
@@ -116,7 +116,7 @@ def _parts(share: TaskShare, lane: int, start_s: float, end_s: float, row: str) 
     for part_s, colour, what in parts:
         if part_s > 0.0:
             long_s = (end_s - start_s) * part_s / whole_s
-            tip = f"{row}: {what} {part_s:.1f} s ({whole_percent(part_s / whole_s)} of the task)"
+            tip = f"{row}: {what} {fixed(part_s, 1)} s ({whole_percent(part_s / whole_s)} of the task)"
             bars.append(Bar(lane, at_s, at_s + long_s, colour, colour == colours.WAIT, tip, row))
             at_s += long_s
     return bars
@@ -142,7 +142,7 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
             bars += _parts(shares[number], at, task.start_s, task.end_s, row)
         else:
             colour = colours.NOMINAL if task.kind == "robot" else colours.OPERATOR
-            tip = f"{row}: {task.start_s:.1f} to {task.end_s:.1f} s"
+            tip = f"{row}: {fixed(task.start_s, 1)} to {fixed(task.end_s, 1)} s"
             bars.append(Bar(at, task.start_s, task.end_s, colour, tip=tip, row=row))
         if not task.rest:
             end_s = each.plan[rests[number]].end_s if number in rests else task.end_s
@@ -173,7 +173,7 @@ def _wait(task: PlannedShare, lane: int, row: str) -> Bar:
     until += f" (in {whole_percent(share)} of the cycles)" if 0.0 < share < ALWAYS else ""
     where = "on the way to" if task.rest else "before"
     name = shown_task(task.task.rpartition("->")[2] if task.rest else task.task)
-    tip = f"{task.agent} waits {task.wait_s:.1f} s {where} {name}{until}"
+    tip = f"{task.agent} waits {fixed(task.wait_s, 1)} s {where} {name}{until}"
     return Bar(lane, task.start_s - task.wait_s, task.start_s, colours.WAIT, waits=True, tip=tip, row=row)
 
 
@@ -262,19 +262,19 @@ def _course(ended: Sequence[_Ended]) -> TaskEnds | None:
     known = len(low) == len(high) == len(ended)
     tips = []
     for done, each in enumerate(ended, start=1):
-        band = f"; in single cycles {each.low_s:.1f} to {each.high_s:.1f} s" if known else ""
-        tips.append(f"{done} of {len(ended)} tasks done, {each.name}: {each.end_s:.1f} s{band}")
+        band = f"; in single cycles {fixed(each.low_s, 1)} to {fixed(each.high_s, 1)} s" if known else ""
+        tips.append(f"{done} of {len(ended)} tasks done, {each.name}: {fixed(each.end_s, 1)} s{band}")
     band_s = (tuple(low), tuple(high)) if known else ((), ())
     return TaskEnds(tuple(each.end_s for each in ended), *band_s, tuple(tips))
 
 
 def _titles(each: CycleEstimate) -> tuple[str, ...]:
-    mean = f"{each.name}: {each.expected_s:.1f} s"
+    mean = f"{each.name}: {fixed(each.expected_s, 1)} s"
     levels = sorted(each.quantiles_s)
     if len(levels) < 2:
         return (mean, each.name)
     low, high = levels[0], levels[-1]
-    cycles = f"{whole_percent(high - low)} of cycles {each.quantiles_s[low]:.1f} to {each.quantiles_s[high]:.1f} s"
+    cycles = f"{whole_percent(high - low)} of cycles {span(each.quantiles_s[low], each.quantiles_s[high], 1)} s"
     return (f"{mean} ({cycles})", mean, each.name)
 
 

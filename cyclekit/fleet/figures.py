@@ -8,6 +8,7 @@ import polars as pl
 
 from cyclekit.dataset.cards import FiguresCard, MonthCard
 from cyclekit.learning.evaluation.drift import Drift
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,7 +40,9 @@ def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, date], m
         changes = {
             "safety_changed": drift.safety_changed,
             "habits_changed": drift.habits_changed,
-            "shifts": tuple(f"{shift.what}: {shift.before:.3f} -> {shift.after:.3f}" for shift in named[:3]),
+            "shifts": tuple(
+                f"{shift.what}: {fixed(shift.before, 3)} -> {fixed(shift.after, 3)}" for shift in named[:3]
+            ),
         }
     return FiguresCard(
         executions=whole.height,

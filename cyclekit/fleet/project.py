@@ -40,6 +40,7 @@ from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
 from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
 from cyclekit.storage.remote.folders import is_url, join
+from cyclekit.text.numbers import fixed
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -216,7 +217,7 @@ def _estimate(work: CellAtWork) -> tuple[State, str]:
         return "unchanged", "same dataset, model, sequences and takt"
     found = work.estimates()
     work.ledger = replace(work.ledger, marks={**work.ledger.marks, "estimate": mark})
-    means = [f"{one.name} {one.expected_s:.1f} s" for one in found]
+    means = [f"{one.name} {fixed(one.expected_s, 1)} s" for one in found]
     told = [f"wrote {written}"] if written else []
     refused = [f"not answered: {one.error.seen}" for one in found.refused]
     return "done", "; ".join([*told, *means[:SHOWN], *refused])

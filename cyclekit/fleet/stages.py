@@ -35,6 +35,7 @@ from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.storage.remote.folders import is_url, mirrored, read_text, write_text
 from cyclekit.storage.scratch import Scratch
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -167,7 +168,7 @@ def _train(work: CellAtWork) -> tuple[State, str]:
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
     card = train_model(cell.dataset, spec, out=cell.model, progress=work.tell).card
     why = "first model" if model is None else "the safety function has changed, or logs of the model are missing"
-    error = f": mean absolute error {card.metrics.mae:.4f} held out" if card.metrics is not None else ""
+    error = f": mean absolute error {fixed(card.metrics.mae, 4)} held out" if card.metrics is not None else ""
     return "done", why + error
 
 
@@ -223,7 +224,10 @@ def told_of(facts: ReportFacts) -> str:
 
 def asked_for(sequences: Sequence[TaskSequence]) -> list[object]:
     """Return the content of sequences as plain values."""
-    return [[each.name, each.places, each.operator, [vars(task) for task in each.plan]] for each in sequences]
+    return [
+        [each.name, each.places, each.operator, each.allowance, [vars(task) for task in each.plan]]
+        for each in sequences
+    ]
 
 
 def fingerprint_of(dataset: Dataset, *others: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.text.numbers import compact, fixed
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -270,7 +271,7 @@ class DatasetDescription(Result):
         return self.tasks
 
     def _lines(self) -> list[str]:
-        counts = f"{self.executions} executions, {self.samples} samples at {self.rate_hz:g} Hz"
+        counts = f"{self.executions} executions, {self.samples} samples at {compact(self.rate_hz, 6)} Hz"
         return [f"{self.path}: dataset, {counts}", *(f"! {text}" for text in self.warnings)]
 
 
@@ -302,7 +303,7 @@ class ModelDescription(Result):
         return [{name: getattr(self, name) for name in ("problem", "network", "horizon_s", "parameters", "levels")}]
 
     def _lines(self) -> list[str]:
-        levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
+        levels = ", ".join(fixed(level, 2) for level in self.levels) or "none"
         return [f"{self.path}: {self.network} for problem {self.problem}, levels {levels}"]
 
 

@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from cyclekit.plots import colours
 from cyclekit.plots.labels import place_labels
 from cyclekit.plots.style import INK, MUTED, RULE, tip
+from cyclekit.text.numbers import compact
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -75,7 +76,7 @@ def outline(axes: Axes, shape: Shape, text: str) -> FloorNote | None:
     if not shape.leaving:  # on squares of its own colour the line would be lost
         line.set_path_effects([withStroke(linewidth=4.0, foreground="white")])
     axes.add_artist(line)
-    speed = f"{100 * shape.level:.4g}"
+    speed = compact(100 * shape.level, 4)
     tip(_figure(axes), line, text.format(speed=speed))
     return None if shape.leaving else FloorNote(f"{speed} %", shape.outline_m, INK, on_line=True)
 

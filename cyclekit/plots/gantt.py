@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.plots import colours
 from cyclekit.plots.canvas import canvas
+from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -200,7 +201,7 @@ def draw_blocks(
     axes.tick_params(axis="y", length=0, labelsize=_NAME_PT)
     if takt_s is not None:
         line = axes.axvline(takt_s, color=colours.SCALING_ANCHORS[0][1], linewidth=1.3, linestyle=(0, (5, 2)), zorder=4)
-        tip(figure, line, f"takt {takt_s:g} s", "")
+        tip(figure, line, f"takt {given(takt_s)} s", "")
     _draw_key(figure, legend, width_in, all_in)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from cyclekit.plots import colours
 from cyclekit.plots.canvas import write_figure
 from cyclekit.plots.style import INK, RULE, plain_style
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -77,7 +78,9 @@ def _over_time(axes: Axes, values: NDArray[np.float64], found: FoundLevels, rate
     axes.scatter(at_s[~held], shown[~held], s=4, color=INK, linewidth=0, zorder=3, label="in transition")
     if (~held & np.isfinite(shown)).any():
         axes.legend(loc="lower right")
-    axes.set(xlabel="time, s", ylabel="robot speed (scaling)", title=f"{at_s[-1] if at_s.size else 0:.0f} s of the log")
+    axes.set(
+        xlabel="time, s", ylabel="robot speed (scaling)", title=f"{fixed(at_s[-1] if at_s.size else 0, 0)} s of the log"
+    )
 
 
 def _shares(axes: Axes, found: FoundLevels) -> None:
@@ -89,11 +92,11 @@ def _shares(axes: Axes, found: FoundLevels) -> None:
     axes.barh(found.levels, share, height=high, color=paint)
     for level, part in zip(found.levels.tolist(), share.tolist(), strict=True):
         axes.annotate(
-            f"{part:.0f} %", (part, level), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8.5
+            f"{fixed(part, 0)} %", (part, level), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8.5
         )
     axes.set(xlim=(0, 1.25 * max(float(share.max(initial=0.0)), 1.0)), xlabel="part of the samples, %")
     rest = max(0.0, 100 - float(share.sum()))
-    axes.set_title(f"{found.levels.size} levels;\n{rest:.0f} % in transition or unknown", loc="left")
+    axes.set_title(f"{found.levels.size} levels;\n{fixed(rest, 0)} % in transition or unknown", loc="left")
 
 
 def draw_levels(path: Path, scaling: NDArray[np.float64], found: FoundLevels, *, rate_hz: float) -> None:

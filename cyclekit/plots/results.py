@@ -11,6 +11,7 @@ from cyclekit.plots import colours
 from cyclekit.plots.drawing import Drawing
 from cyclekit.plots.gantt import draw_blocks, height_in
 from cyclekit.plots.style import INK, MUTED, plain_style
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -119,7 +120,7 @@ def order_figure(order: str, against: str, means_s: tuple[float, float], interva
         axes.plot(interval_s, [0, 0], color=INK, linewidth=2.0, solid_capstyle="butt")
         for row, mean_s in enumerate(means_s):
             axes.annotate(
-                f"{mean_s:.1f} s", (0, row), xytext=(6, 0), textcoords="offset points", va="center", color=INK
+                f"{fixed(mean_s, 1)} s", (0, row), xytext=(6, 0), textcoords="offset points", va="center", color=INK
             )
         axes.texts[0].set_color("white")
         axes.set_yticks([0, 1], ["order found", against])

@@ -10,6 +10,7 @@ from matplotlib.ticker import PercentFormatter
 from cyclekit.plots import colours
 from cyclekit.plots.floor import SHADE, draw_cell, label_axes, outline, square
 from cyclekit.plots.style import INK, MUTED, RULE
+from cyclekit.text.numbers import compact, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -98,10 +99,10 @@ def draw_path(
         square(axes, x, y, side_m, colours.scaling_hex(speed) if slower else MUTED)
     axes.update_datalim(np.concatenate([squares[:, :2] - side_m / 2, squares[:, :2] + side_m / 2]))
     speeds = np.unique(squares[counts, 2].round(3)).tolist()
-    named = ", ".join(f"{100 * speed:.4g} %" for speed in speeds)
+    named = ", ".join(f"{compact(100 * speed, 4)} %" for speed in speeds)
     if len(speeds) > NAMED:  # of a network
-        named = f"{100 * speeds[0]:.0f} to {100 * speeds[-1]:.0f} %"
-    where = f"{named} on {100 * counts.mean():.0f} % of the path" if counts.any() else "does not count"
+        named = f"{fixed(100 * speeds[0], 0)} to {fixed(100 * speeds[-1], 0)} %"
+    where = f"{named} on {fixed(100 * counts.mean(), 0)} % of the path" if counts.any() else "does not count"
     axes.set_title(f"{signal}: {where}", loc="left")
     label_axes(axes, "x, m (base frame)", "y, m (base frame)", None, draw_cell(axes, cell, "base"))
 

@@ -14,8 +14,8 @@ from cyclekit.estimate.result import MAJORITY
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
-from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import UNKNOWN, compact, fixed, given, interval, percent, seconds
 from cyclekit.text.plain_text import shown_task
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ def section(page: PageInputs) -> dict[str, Any]:
         if said.get("headline"):
             logged |= {"headline": said["headline"], "sentences": [*said["lead"], *logged["sentences"]]}
         return {**logged, "missing": missing}
-    mean, interval = with_uncertainty(best.expected_s, best.expected_low_s, best.expected_high_s)
-    sentences = [*(said["lead"] if said else []), " ".join(_best(texts, best, mean, interval))]
+    mean = fixed(best.expected_s, page.decimals)
+    sentences = [*(said["lead"] if said else []), " ".join(_best(texts, best, page.decimals))]
     works = by_work(ranked)
     same = next(work for work in works.values() if best in work)
     tied = [each.name for each in same if each is not best and not _is_shorter(best, each)]
@@ -65,7 +65,7 @@ def section(page: PageInputs) -> dict[str, Any]:
         "headline": said["headline"] if said else texts("answer.best", name=best.name, mean=mean),
         "sentences": sentences + missing,
         "charts": charts_of("answer", page),
-        "table": _table(texts, works, takt_s),
+        "table": _table(page, works),
         "refused": not_answered(page, "sequence"),
         "interval_note": texts("answer.interval_checked" if page.check is not None else "answer.interval_tracks"),
         "warnings": _warnings(texts, ranked),
@@ -93,20 +93,20 @@ def in_time(estimate: CycleEstimate, takt_s: float) -> float | None:
     return float((cycles <= takt_s).mean()) if len(cycles) else None
 
 
-def _best(texts: ReportTexts, best: CycleEstimate, mean: str, interval: str) -> list[str]:
-    parts = [texts("answer.interval", name=best.name, mean=mean, interval=interval)]
+def _best(texts: ReportTexts, best: CycleEstimate, places: int) -> list[str]:
+    mean, bounds = fixed(best.expected_s, places), interval(best.expected_low_s, best.expected_high_s, places)
+    parts = [texts("answer.interval", name=best.name, mean=mean, interval=bounds)]
     if len(best.quantiles_s) > 1:
         levels = sorted(best.quantiles_s)
         low, high = best.quantiles_s[levels[0]], best.quantiles_s[levels[-1]]
-        places = min(1, decimals_for((high - low) / 2))
         share = percent(levels[-1] - levels[0])
         parts.append(texts("answer.cycles", share=share, low=fixed(low, places), high=fixed(high, places)))
     lost = percent(best.safety_loss_s / best.expected_s) if best.expected_s > 0 else percent(None)
-    parts.append(texts("answer.split", safety=fixed(best.safety_loss_s, 1), percent=lost))
+    parts.append(texts("answer.split", safety=fixed(best.safety_loss_s, places), percent=lost))
     worst = best.costliest_task
     if worst and worst[0].safety_loss_s > 0.05:
         key = "answer.worst_most" if worst[1] > MAJORITY else "answer.worst"
-        loss = fixed(worst[0].safety_loss_s, 1)
+        loss = fixed(worst[0].safety_loss_s, places)
         parts.append(texts(key, task=texts.task(worst[0].task), loss=loss, share=percent(worst[1])))
     return parts
 
@@ -141,16 +141,16 @@ def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: S
     return {**found, "headline": texts(key, mean=seconds(mean))}
 
 
-def _table(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: float | None) -> ReportTable:
+def _table(page: PageInputs, works: Mapping[Work, Sequence[CycleEstimate]]) -> ReportTable:
     """One row per sequence, ranked within its work; with several kinds of work also the time per visit."""
-    several = len(works) > 1
+    several, texts, takt_s, places = len(works) > 1, page.texts, page.takt_s, page.decimals
     levels = sorted(next(iter(works.values()))[0].quantiles_s)
     heads = [
         texts("answer.sequence"),
         texts("answer.rank"),
         texts("answer.expected"),
         texts("answer.interval_head"),
-        *(texts("answer.quantile_head", level=f"{100 * level:g}") for level in levels),
+        *(texts("answer.quantile_head", level=compact(100 * level, 6)) for level in levels),
         *([texts("answer.takt_head", takt=given(takt_s))] if takt_s is not None else []),
         texts("answer.safety_head"),
         texts("answer.support_head"),
@@ -158,12 +158,12 @@ def _table(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]], ta
     ]
     rows = []
     for each, rank in ((each, _rank(n, work, several)) for work in works.values() for n, each in enumerate(work, 1)):
-        mean, interval = with_uncertainty(each.expected_s, each.expected_low_s, each.expected_high_s)
-        quantiles = [fixed(each.quantiles_s.get(level), 1) for level in levels]
+        mean, bounds = fixed(each.expected_s, places), interval(each.expected_low_s, each.expected_high_s, places)
+        quantiles = [fixed(each.quantiles_s.get(level), places) for level in levels]
         takt = [percent(in_time(each, takt_s))] if takt_s is not None else []
         visits = [str(len(each.places) - 1), fixed(each.per_visit_s, 2)] if several else []
-        loss = fixed(each.safety_loss_s, 1)
-        rows.append([each.name, rank, mean, interval, *quantiles, *takt, loss, percent(each.support), *visits])
+        loss = fixed(each.safety_loss_s, places)
+        rows.append([each.name, rank, mean, bounds, *quantiles, *takt, loss, percent(each.support), *visits])
     return ReportTable(_caption(texts, works), heads, rows, frozenset(range(1, len(heads))), silent=True)
 
 

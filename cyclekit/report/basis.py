@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from cyclekit.estimate.finding import doubts_of
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.what_to_log import ENOUGH, WITHIN
-from cyclekit.report.numbers import count, fixed, percent
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import compact, count, percent, signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,9 +34,9 @@ def _rollout(texts: ReportTexts, check: Check) -> ReportTable:
     rows = [
         [texts("trust.rollout_count"), count(check.executions)],
         [texts("trust.rollout_unseen"), count(check.held_out)],
-        [texts(bias), f"{signed(check.own_bias)} (± {fixed(100 * check.own_within, 2)} %)"],
-        [texts("trust.rollout_corrected"), signed(check.factor - 1)],
-        *([] if both else [[texts("trust.rollout_crossed"), signed(check.crossed_bias)]]),
+        [texts(bias), f"{signed_percent(check.own_bias, 2)} (± {percent(check.own_within, 2)})"],
+        [texts("trust.rollout_corrected"), signed_percent(check.factor - 1, 2)],
+        *([] if both else [[texts("trust.rollout_crossed"), signed_percent(check.crossed_bias, 2)]]),
         *([texts(f"trust.{key}", wanted=wanted), percent(part)] for key, part in covered.items()),
     ]
     heads, title = [texts("trust.metric"), texts("trust.value")], texts("trust.rollout")
@@ -73,11 +73,5 @@ def to_log(page: PageInputs) -> list[ReportTable]:
         return []
     said = (re.sub(r"(?<=\d)%", "\N{NO-BREAK SPACE}%", text).replace("+-", "± ") for text in plan.in_words(texts.task))
     lacking = [f"{text[0].upper()}{text[1:]}." for text in said]
-    lead = texts("trust.to_log_text" if lacking else "trust.to_log_none", most=ENOUGH, within=f"{100 * WITHIN:g}")
+    lead = texts("trust.to_log_text" if lacking else "trust.to_log_none", most=ENOUGH, within=compact(100 * WITHIN))
     return [ReportTable(title=texts("trust.to_log"), text=lead, items=lacking)]
-
-
-def signed(part: float) -> str:
-    """Write a part as per cent with its sign and two decimals."""
-    sign = "+" if round(100 * part, 2) > 0 else ""
-    return f"{sign}{fixed(100 * part, 2)}\N{NO-BREAK SPACE}%"

@@ -17,6 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from cyclekit.plots import colours
 from cyclekit.plots.style import INK, MUTED, tip
 from cyclekit.report.pictures import WIDE_IN
+from cyclekit.text.numbers import compact, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -55,10 +56,10 @@ def cycle_times(
             )
             text = labels["tip"].format(
                 name=each.name,
-                mean=f"{each.expected_s:.1f}",
-                low=f"{low_s:.1f}",
-                high=f"{high_s:.1f}",
-                safety=f"{each.safety_loss_s:.1f}",
+                mean=fixed(each.expected_s, 1),
+                low=fixed(low_s, 1),
+                high=fixed(high_s, 1),
+                safety=fixed(each.safety_loss_s, 1),
             )
             tip(figure, bar, text, each.name)
         axes.plot([each.expected_low_s, each.expected_high_s], [row, row], color=colours.NOMINAL, linewidth=3, zorder=2)
@@ -81,8 +82,8 @@ def causes(width_in: float, rows: Sequence[tuple[str, float, str]], labels: Mapp
     most = max((value for _, value, _ in rows), default=1.0)
     for number, (name, value, colour) in enumerate(rows):
         bar = axes.barh(number, value, height=0.62, color=colour)
-        tip(figure, bar.patches[0], f"{name}: {value:.1f} s", name)
-        axes.text(value + 0.01 * most, number, f"{value:.1f}", va="center", color=INK, fontsize=8.5)
+        tip(figure, bar.patches[0], f"{name}: {fixed(value, 1)} s", name)
+        axes.text(value + 0.01 * most, number, fixed(value, 1), va="center", color=INK, fontsize=8.5)
     _name_rows(axes, [name for name, _, _ in rows], width_in)
     axes.set_xlim(0, most * 1.12)
     axes.set_xlabel(labels["seconds"])
@@ -150,4 +151,4 @@ def _key(figure: Figure, axes: Axes, entries: Sequence[tuple[str, str, str]], co
 
 def _levels(estimates: Sequence[CycleEstimate]) -> tuple[str, str]:
     levels = sorted(estimates[0].quantiles_s) if estimates else []
-    return (f"{100 * levels[0]:g}", f"{100 * levels[-1]:g}") if levels else ("5", "95")
+    return (compact(100 * levels[0], 6), compact(100 * levels[-1], 6)) if levels else ("5", "95")

@@ -11,6 +11,7 @@ from matplotlib.ticker import PercentFormatter
 from cyclekit.plots import colours
 from cyclekit.plots.style import tip
 from cyclekit.report.pictures import WIDE_IN, Picture
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -53,7 +54,7 @@ def _drawn(texts: ReportTexts, cells: Mapping[str, Sequence[MonthCard]], width_i
         lost.plot(at, share, "-", color=hue, linewidth=1.4)
         for x, each in zip(at, every, strict=True):
             (dot,) = cycle.plot([x], [each.cycle_s], "o", color=hue, markersize=5)
-            values = {"name": name, "month": f"{each.month:%Y-%m}", "cycle": f"{each.cycle_s:.1f}"}
+            values = {"name": name, "month": f"{each.month:%Y-%m}", "cycle": fixed(each.cycle_s, 1)}
             tip(figure, dot, texts("fleet.months_tip", executions=each.executions, **values), name)
         lost.plot(at, share, "o", color=hue, markersize=5)
     for axes, key in ((cycle, "fleet.months_cycle"), (lost, "fleet.months_lost")):

@@ -11,8 +11,8 @@ from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
 from cyclekit.report.fleet_months import months_picture
-from cyclekit.report.numbers import fixed, percent
 from cyclekit.report.template import Template
+from cyclekit.text.numbers import count, fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,7 +80,8 @@ def _headline(texts: ReportTexts, ranked: Sequence[CellLine], concerned: int) ->
     said = texts("fleet.nothing_known")
     if known:
         said = texts("fleet.most", name=known[0][0], share=percent(known[0][1]))
-    return f"{said} {texts('fleet.look_count' if concerned else 'fleet.look_none', count=concerned)}"
+    key = {0: "fleet.look_none", 1: "fleet.look_one"}.get(concerned, "fleet.look_count")
+    return f"{said} {texts(key, count=count(concerned))}"
 
 
 def _row(texts: ReportTexts, rank: int, cell: CellLine) -> dict[str, object]:

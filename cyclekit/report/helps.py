@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.estimate.baseline import LOGGED
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.report.answer import not_answered
 from cyclekit.report.figures import charts_of
 from cyclekit.report.findings import losses
-from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import UNKNOWN, count, difference, fixed, interval, percent, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,9 +34,9 @@ def section(page: PageInputs) -> dict[str, Any]:
     before = {each.name: each for each in ranked}
     said = (
         _bound(page),
-        _best(texts, tried, ranked, before),
-        _plan_saves(texts, planned),
-        *(_order(texts, alike) for alike in by_work(ranked).values()),
+        _best(page, before),
+        _plan_saves(page),
+        *(_order(texts, alike, page.decimals) for alike in by_work(ranked).values()),
     )
     sentences = [text for text in said if text]
     unanswered = {each.kind for each in page.refused}
@@ -44,7 +45,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     if planned is None and "order" not in unanswered:
         sentences.append(texts("helps.not_planned"))
     refused = not_answered(page, "change", "order")
-    made = (_what_if(texts, tried, before), _plan(texts, planned), refused, _moments(texts, page.samples, page.seen))
+    made = (_what_if(page, before), _plan(page), refused, _moments(texts, page.samples, page.seen))
     return {"sentences": sentences, "charts": charts_of("helps", page), "tables": [table for table in made if table]}
 
 
@@ -65,52 +66,52 @@ def _bound(page: PageInputs) -> str:
     return texts(key, without=without, lost=seconds(seen.lost_s), wait=seconds(wait_s))
 
 
-def _order(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> str:
+def _order(texts: ReportTexts, ranked: Sequence[CycleEstimate], places: int) -> str:
     """The saving of the order alone among sequences of the same work (fastest first), if it is clear."""
     if len(ranked) < 2:
         return ""
     best, last = ranked[0], ranked[-1]
     if last.expected_low_s <= best.expected_high_s:
         return texts("helps.order_even")
-    half = max(best.expected_high_s - best.expected_low_s, last.expected_high_s - last.expected_low_s) / 2
-    saved = fixed(last.expected_s - best.expected_s, decimals_for(half))
+    saved = fixed(difference(last.expected_s, best.expected_s, places), places)
     return texts("helps.order", best=best.name, last=last.name, saved=saved)
 
 
-def _best(
-    texts: ReportTexts, tried: Sequence[Tried], ranked: Sequence[CycleEstimate], before: Mapping[str, CycleEstimate]
-) -> str:
+def _best(page: PageInputs, before: Mapping[str, CycleEstimate]) -> str:
     """The change with the largest clear saving on one sequence: on the fastest one, where changes of it were tried."""
+    texts, tried = page.texts, page.what_if
     names = [each.sequence for each in tried]
-    of = next((each.name for each in ranked if each.name in names), names[0] if names else None)
+    of = next((each.name for each in page.ranked if each.name in names), names[0] if names else None)
     sure = [each for each in tried if each.sequence == of and each.surely_saves(before)]
     if not sure:
         return texts("helps.none_saves") if tried else ""
     best = max(sure, key=lambda each: (each.saves(before) or (0.0,))[0])
-    saved, interval = _saved(best.saves(before))
+    saved, bounds = _saved(best, before, page.decimals)
     values = {"change": best.label, "name": best.sequence, "saved": f"{saved} s"}
-    return texts("helps.best", **values, interval=interval and texts("helps.best_interval", interval=interval))
+    return texts("helps.best", **values, interval=bounds and texts("helps.best_interval", interval=bounds))
 
 
-def _saved(saves: tuple[float, float | None, float | None] | None) -> tuple[str, str]:
-    """A saving and its interval as text; without an interval an empty one."""
-    if saves is None:
-        return "–", ""
-    mean, low, high = saves
-    return (fixed(mean, 1), "") if low is None or high is None else with_uncertainty(mean, low, high)
+def _saved(tried: Tried, before: Mapping[str, CycleEstimate], places: int) -> tuple[str, str]:
+    """A saving, as the cycle times shown differ, and its interval; without an interval an empty one."""
+    found = tried.saves(before)
+    if found is None:
+        return UNKNOWN, ""
+    mean, low, high = found
+    saved = fixed(difference(tried.expected_s + mean, tried.expected_s, places), places)
+    return saved, "" if low is None or high is None else interval(low, high, places)
 
 
-def _what_if(texts: ReportTexts, tried: Sequence[Tried], before: Mapping[str, CycleEstimate]) -> ReportTable | None:
+def _what_if(page: PageInputs, before: Mapping[str, CycleEstimate]) -> ReportTable | None:
+    texts, tried, places = page.texts, page.what_if, page.decimals
     if not tried:
         return None
     rows = []
     for each in tried:
-        mean, interval = with_uncertainty(each.expected_s, each.low_s, each.high_s)
-        saved, range_s = _saved(each.saves(before))
-        support = percent(each.support) if each.support is not None else "–"
-        rows.append([each.label, each.sequence, mean, interval, saved, range_s or "–", support])
+        saved, range_s = _saved(each, before, places)
+        mean, bounds = fixed(each.expected_s, places), interval(each.low_s, each.high_s, places)
+        rows.append([each.label, each.sequence, mean, bounds, saved, range_s or UNKNOWN, percent(each.support)])
     names = ("change", "sequence", "expected", "interval", "saved", "saved_interval", "support")
-    used = [n for n in range(len(names)) if n < 5 or any(row[n] != "–" for row in rows)]
+    used = [n for n in range(len(names)) if n < 5 or any(row[n] != UNKNOWN for row in rows)]
     heads, rows = [texts(f"helps.{names[n]}") for n in used], [[row[n] for n in used] for row in rows]
     title = texts("helps.what_if")
     items = _limits(tried)
@@ -131,33 +132,38 @@ def _limits(tried: Sequence[Tried]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _plan_saves(texts: ReportTexts, planned: OrderPlan | None) -> str:
+def _plan_saves(page: PageInputs) -> str:
     """The saving of the best order found, as a sentence."""
+    texts, planned, places = page.texts, page.planned, page.decimals
     if planned is None:
         return ""
-    saved, low, high = planned.saves_s
-    if low <= 0:
+    if planned.saves_s[1] <= 0:
         return texts("helps.plan_even")
-    mean, interval = with_uncertainty(saved, low, high)
-    against = texts("helps.against_logged" if planned.against == "logged orders" else "helps.against_random")
-    return texts("helps.plan_saves", saved=mean, interval=interval, against=against)
+    values = {"saved": _planned_saving(planned, places), "interval": interval(*planned.saves_s[1:], places)}
+    return texts("helps.plan_saves", **values, against=_against(texts, planned))
 
 
-def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
+def _planned_saving(planned: OrderPlan, places: int) -> str:
+    """The saving of the order found, as the two cycle times shown differ."""
+    return fixed(difference(planned.against_s, planned.expected_s, places), places)
+
+
+def _against(texts: ReportTexts, planned: OrderPlan) -> str:
+    return texts("helps.against_logged" if planned.against == LOGGED else "helps.against_random")
+
+
+def _plan(page: PageInputs) -> ReportTable | None:
     """The order found, its saving and the number of orders and executions compared."""
+    texts, planned, places = page.texts, page.planned, page.decimals
     if planned is None:
         return None
-    saved, low, high = planned.saves_s
-    both = bool(planned.operator)
-    places = decimals_for((high - low) / 2)
-    against = texts("helps.against_logged" if planned.against == "logged orders" else "helps.against_random")
+    both, against = bool(planned.operator), _against(texts, planned)
     every = texts("helps.every_order" if planned.searched == "all orders" else "helps.some_orders")
-    beside = texts("helps.plan_against_both" if both else "helps.plan_against", against=against)
+    beside = texts("helps.plan_against", against=against)
     rows = [
         [texts("helps.plan_expected"), fixed(planned.expected_s, places)],
         [beside, fixed(planned.against_s, places)],
-        [texts("helps.plan_saved"), f"{fixed(saved, places)} ({fixed(low, places)} to {fixed(high, places)})"],
-        *([] if both else [[texts("helps.plan_unseen"), fixed(planned.saves_unseen_s, places)]]),
+        [texts("helps.plan_saved"), f"{_planned_saving(planned, places)} ({interval(*planned.saves_s[1:], places)})"],
     ]
     jobs = any("->" in visit for visit in planned.order)
     title, order = texts("helps.plan"), (", " if jobs else " → ").join(map(texts.task, planned.order))
@@ -180,7 +186,7 @@ def _moments(texts: ReportTexts, samples: pl.DataFrame, seen: Overview) -> Repor
         [
             texts("helps.unknown") if each.human_task is None else texts.task(each.human_task),
             fixed(each.seconds, 1),
-            percent(each.seconds / whole) if whole else "–",
+            percent(each.seconds / whole) if whole else UNKNOWN,
             texts(
                 "helps.worst",
                 task=texts.task(each.robot_task),

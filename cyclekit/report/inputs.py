@@ -16,6 +16,7 @@ from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.verdict import verdict
+from cyclekit.text.numbers import decimals_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -125,6 +126,13 @@ class PageInputs:
     def best(self) -> CycleEstimate | None:
         """The sequence that the answer names; None without estimates."""
         return self.verdict.best if self.verdict and self.verdict.best else next(iter(self.ranked), None)
+
+    @property
+    def decimals(self) -> int:
+        """Number of decimals that the cycle times of this page show."""
+        logged_s = self.seen.duration_s
+        times_s = [*(each.expected_s for each in self.ranked), *(each.expected_s for each in self.what_if)]
+        return decimals_of(*times_s, *([float(logged_s.mean())] if len(logged_s) else []))
 
     @cached_property
     def to_log(self) -> RecordingPlan | None:

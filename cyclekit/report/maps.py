@@ -18,6 +18,7 @@ from cyclekit.plots.floor import SHADE, draw_cell, label_axes, outline, square
 from cyclekit.plots.style import INK, MUTED, RULE, tip
 from cyclekit.report.findings import DISTANCE_BIN_M, SCALING_BIN
 from cyclekit.report.pictures import WIDE_IN
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -51,7 +52,12 @@ def staircase(width_in: float, found: LoggedResponse, levels: Sequence[float], l
         )
         axes.add_artist(square)
         low, high = distance - DISTANCE_BIN_M / 2, distance + DISTANCE_BIN_M / 2
-        values = {"low": f"{low:.2f}", "high": f"{high:.2f}", "speed": f"{100 * scaling:.0f}", "count": f"{count:.0f}"}
+        values = {
+            "low": fixed(low, 2),
+            "high": fixed(high, 2),
+            "speed": fixed(100 * scaling, 0),
+            "count": fixed(count, 0),
+        }
         tip(figure, square, labels["tip"].format(**values))
     means: list[tuple[NDArray[np.float64], str, str, Any]] = [(found.logged, INK, labels["logged"], "-")]
     if found.predicted is not None:
@@ -88,14 +94,14 @@ def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
     for x, y, seconds in plan.seen.tolist():
         grey = 0.10 + 0.35 * float(np.sqrt(seconds / longest))
         drawn = square(axes, x, y, plan.cell_m, "#6b7885", alpha=grey)
-        tip(figure, drawn, labels["tip_seen"].format(x=f"{x:.1f}", y=f"{y:.1f}", seconds=f"{seconds:.2f}"))
+        tip(figure, drawn, labels["tip_seen"].format(x=fixed(x, 1), y=fixed(y, 1), seconds=fixed(seconds, 2)))
     most = float(plan.lost[:, 2].max()) if len(plan.lost) else 1.0
     for x, y, seconds, scaling in plan.lost.tolist():
         if seconds < _FAINTEST * most:
             continue
         side = plan.cell_m * float(np.sqrt(seconds / most))
         drawn = square(axes, x, y, side, colours.scaling_hex(scaling), alpha=SHADE)
-        values = {"x": f"{x:.1f}", "y": f"{y:.1f}", "seconds": f"{seconds:.2f}", "speed": f"{100 * scaling:.0f}"}
+        values = {"x": fixed(x, 1), "y": fixed(y, 1), "seconds": fixed(seconds, 2), "speed": fixed(100 * scaling, 0)}
         tip(figure, drawn, labels["tip_lost"].format(**values))
     _finish(axes, plan, labels, [])
     return figure
@@ -106,7 +112,7 @@ def zone_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
     figure, axes = _floor(width_in, plan)
     for x, y, scaling in plan.zones.tolist():
         drawn = square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=SHADE)
-        tip(figure, drawn, labels["tip_zone"].format(x=f"{x:.1f}", y=f"{y:.1f}", speed=f"{100 * scaling:.0f}"))
+        tip(figure, drawn, labels["tip_zone"].format(x=fixed(x, 1), y=fixed(y, 1), speed=fixed(100 * scaling, 0)))
     _finish(axes, plan, labels, [outline(axes, shape, labels["tip_rule"]) for shape in plan.shapes])
     return figure
 
@@ -124,11 +130,11 @@ def heatmap(width_in: float, counts: NDArray[np.float64], names: Sequence[str], 
                 (predicted - 0.5, logged - 0.5), 1, 1, color=colours.NOMINAL, alpha=part**0.6, linewidth=0
             )
             axes.add_artist(square)
-            values = {"logged": names[logged], "predicted": names[predicted], "part": f"{100 * part:.1f}"}
-            tip(figure, square, labels["tip"].format(**values, count=f"{counts[logged, predicted]:.0f}"))
+            values = {"logged": names[logged], "predicted": names[predicted], "part": fixed(100 * part, 1)}
+            tip(figure, square, labels["tip"].format(**values, count=fixed(counts[logged, predicted], 0)))
             if part >= 0.0005:
                 ink = "white" if part > 0.45 else INK
-                axes.text(predicted, logged, f"{100 * part:.1f}", ha="center", va="center", color=ink, fontsize=8.5)
+                axes.text(predicted, logged, fixed(100 * part, 1), ha="center", va="center", color=ink, fontsize=8.5)
     axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5), aspect="equal")
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(names)), names)
@@ -147,7 +153,7 @@ def calibration(width_in: float, found: PredictionBins, labels: Mapping[str, str
     for predicted, logged, count in zip(found.predicted, found.logged, found.count, strict=True):
         size = 4 + 8 * float(np.sqrt(count / biggest))
         (dot,) = axes.plot([predicted], [logged], "o", color=colours.PREDICTED, markersize=size, alpha=0.85, zorder=2)
-        values = {"predicted": f"{100 * predicted:.0f}", "logged": f"{100 * logged:.1f}", "count": f"{count:.0f}"}
+        values = {"predicted": fixed(100 * predicted, 0), "logged": fixed(100 * logged, 1), "count": fixed(count, 0)}
         tip(figure, dot, labels["tip"].format(**values))
     axes.set(xlim=(-0.04, 1.04), ylim=(-0.04, 1.04), aspect="equal")
     axes.set(xlabel=labels["predicted"], ylabel=labels["logged"])

@@ -9,6 +9,8 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from cyclekit.text.numbers import compact, fixed, percent, signed, span
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -114,14 +116,14 @@ def _clock_fits(clocks: Sequence[ClockCard]) -> str:
     """How good the fits of like clocks are: offset where they share it, range of rates, worst residual, doubts."""
     parts = []
     if len(clocks) == 1 and clocks[0].method not in ("own", "same-log"):
-        parts.append(f"offset {clocks[0].offset_s:.3f} s")
+        parts.append(f"offset {fixed(clocks[0].offset_s, 3)} s")
     rates = [clock.rate for clock in clocks]
     low, high = min(rates, default=1.0), max(rates, default=1.0)
     if max(abs(low - 1.0), abs(high - 1.0)) > 1e-9:
-        parts.append(f"rate {low:.6f}" if high - low < 5e-7 else f"rate {low:.6f} to {high:.6f}")
+        parts.append(f"rate {span(low, high, 6)}")
     residuals = [clock.residual_s for clock in clocks if clock.residual_s is not None]
     if residuals:
-        parts.append(f"residual {'up to ' if len(residuals) > 1 else ''}{1000 * max(residuals):.1f} ms")
+        parts.append(f"residual {'up to ' if len(residuals) > 1 else ''}{fixed(1000 * max(residuals), 1)} ms")
     events = [clock.events for clock in clocks if clock.events is not None]
     if events:
         counted = "stamps" if all(clock.method == "lower-envelope" for clock in clocks) else "events"
@@ -129,7 +131,7 @@ def _clock_fits(clocks: Sequence[ClockCard]) -> str:
     doubts = [(clock.second_best, clock.second_best_s or 0.0) for clock in clocks if clock.second_best is not None]
     if doubts:
         height, away_s = max(doubts, key=lambda doubt: doubt[0])
-        parts.append(f"second-best fit {100 * height:.0f} % at {away_s:+.2f} s")
+        parts.append(f"second-best fit {percent(height)} at {signed(away_s, 2)} s")
     return ", ".join(parts)
 
 
@@ -137,7 +139,7 @@ def _frame(frame: FrameCard) -> str:
     xyz = frame.xyz_m
     if xyz is None or not any(xyz):
         return frame.method
-    return f"{frame.method}, origin at ({', '.join(f'{value:g}' for value in xyz)}) m"
+    return f"{frame.method}, origin at ({', '.join(compact(value) for value in xyz)}) m"
 
 
 def _source(kind: tuple[str, ...], records: Sequence[RecordingCard]) -> LogSource:

@@ -14,7 +14,6 @@ from cyclekit.estimate.baseline import listed_cycle, listed_cycles
 from cyclekit.learning.task_times.parts import ALONE
 from cyclekit.report.document import MARK
 from cyclekit.report.figures.time_chart import MAX_SEQUENCES, time_chart
-from cyclekit.report.numbers import UNKNOWN, count, fixed, given, percent
 from cyclekit.report.page import ReportFacts
 from cyclekit.report.pictures import Picture
 from cyclekit.report.play import play_lists
@@ -22,6 +21,7 @@ from cyclekit.report.template import Template
 from cyclekit.report.tried import Tried
 from cyclekit.report.verdict import basis, in_words, verdict
 from cyclekit.storage.atomic import write_text
+from cyclekit.text.numbers import UNKNOWN, count, counted, fixed, given, percent, seconds, signed_percent
 from cyclekit.text.plain_json import json_text
 
 if TYPE_CHECKING:
@@ -235,11 +235,10 @@ def _plan(one: CycleEstimate) -> Part:
 def _order(planned: TaskOrderPlan | None) -> list[Part]:
     if planned is None:
         return []
-    saved, low, high = planned.saves_s
+    expected_s = planned.estimate.expected_s
     said = (
-        f"The order found takes {fixed(planned.estimate.expected_s, 1)} s; {planned.against} take "
-        f"{fixed(planned.against_s, 1)} s on average. It saves {fixed(saved, 1)} s (95 % CI {fixed(low, 1)} to "
-        f"{fixed(high, 1)} s)."
+        f"The order found takes {seconds(expected_s, planned.against_s)}; {planned.against} take "
+        f"{seconds(planned.against_s, expected_s)} on average. It saves {planned.saving_in_words}."
     )
     agents = list(dict.fromkeys(task.agent for task in planned.tasks))
     lines = [[task.name for task in planned.tasks if task.agent == agent] for agent in agents]
@@ -250,9 +249,8 @@ def _order(planned: TaskOrderPlan | None) -> list[Part]:
 def _changes(changed: Sequence[WhatIf]) -> list[Part]:
     rows = []
     for one in changed:
-        saved, low, high = one.saves_s
-        times = [fixed(one.before.expected_s, 1), fixed(one.after.expected_s, 1)]
-        rows.append([one.change, one.after.name, *times, f"{fixed(saved, 1)} ({fixed(low, 1)} to {fixed(high, 1)})"])
+        times = [fixed(each.expected_s, one.decimals) for each in (one.before, one.after)]
+        rows.append([one.change, one.after.name, *times, one.saving_in_words])
     heads = ["Change", "Plan", "Before, s", "After, s", "Saves, s (95 % CI)"]
     return [Part("What if", heads=heads, rows=rows)] if rows else []
 
@@ -290,8 +288,9 @@ def _trust(card: TaskModelCard | None, missing: Sequence[str]) -> Part:
     said = "Too few executions to validate the model on orders that were held out."
     if held_out is not None:
         said = (
-            f"Validated on {held_out.orders} orders that were held out: mean cycle time {held_out.bias:+.1%} off "
-            f"(standard error {held_out.within:.1%}), error of single orders beyond chance {held_out.order_error:.1%}."
+            f"Validated on {counted(held_out.orders, 'order')} that were held out: mean cycle time "
+            f"{signed_percent(held_out.bias, 1)} off (standard error {percent(held_out.within, 1)}), "
+            f"error of single orders beyond chance {percent(held_out.order_error, 1)}."
         )
     known = [said, *missing[:1], NOT_KNOWN[1], *missing[1:]] if card else missing
     return Part("How reliable are these numbers?", known)

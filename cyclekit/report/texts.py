@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|s|m|h|min)(?![\w]))")
 """The space between a number and its unit; becomes a no-break space."""
+_TWO_ENDS = re.compile(r"(?<!\.)\.\.(?!\.)")
+"""Two full stops: a sentence, such as the message of an error, at the end of another one."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class ReportTexts:
             KeyError: The text does not exist, or a value that it needs was not given.
         """
         section, _, name = key.partition(".")
-        return _UNIT.sub("\N{NO-BREAK SPACE}", self.sections[section][name].format(**values))
+        text = _TWO_ENDS.sub(".", self.sections[section][name].format(**values))
+        return _UNIT.sub("\N{NO-BREAK SPACE}", text)
 
     def with_changes(self, changes: Mapping[str, Any]) -> ReportTexts:
         """Return the texts with some of them replaced; `language` may be among the changes.

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.dataset.cards import plain
 from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.report import basis
-from cyclekit.report.basis import signed
 from cyclekit.report.figures import charts_of
-from cyclekit.report.numbers import count, fixed, percent, significant
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import ReportTable
-from cyclekit.text.numbers import whole_percent
+from cyclekit.text.numbers import count, error_text, fixed, percent, signed_percent, significant, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -131,24 +129,15 @@ def _network_and_baselines(page: PageInputs) -> list[str]:
         left = {"model": 1 - model / errors[CONSTANT], "rival": 1 - rivals[best] / errors[CONSTANT]}
         found.append(texts("trust.explained", name=best, **{name: percent(part) for name, part in left.items()}))
     if check is not None:
-        bias, error = signed(check.own_bias), fixed(100 * check.own_within, 2)
-        found.append(texts("trust.backtest_bias", bias=bias, error=error))
+        bias, within = signed_percent(check.own_bias, 2), percent(check.own_within, 2)
+        found.append(texts("trust.backtest_bias", bias=bias, error=within))
     return [" ".join(found)]
 
 
 def _metric(key: str, value: float) -> str:
     if key == "rows":
         return count(int(value))
-    if key == "accuracy":
-        return percent(value)
-    if 0 < abs(value) < 1e-3:
-        mantissa, exponent = f"{value:.2e}".split("e")
-        return f"{mantissa.replace('-', '−')} · 10{_superscript(int(exponent))}"
-    return significant(value)
-
-
-def _superscript(number: int) -> str:
-    return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return percent(value) if key == "accuracy" else error_text(value)
 
 
 def _unseen(texts: ReportTexts, samples: pl.DataFrame) -> list[ReportTable]:

@@ -1,8 +1,9 @@
 """The verdict: today's logged cycle time against the best order and change found for the same work.
 
 "Today" is the mean of the logged executions of this work (of the usual order alone, if more than half ran it), or of
-the sequence that was named for the baseline; only where that was never logged, its estimate. If the operator's pace
-changed, estimates are for his latest pace, and so is "today": else what he learned would count as a saving.
+the sequence that was named for the baseline; only where that was never logged, its estimate. Like is compared with
+like: "today" is at the operator's latest pace and rolled out with any operators, as estimates are; else what he
+learned, or the error of the model, would count as a saving.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import TYPE_CHECKING
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.statistics.same_work import by_work, work_of
-from cyclekit.report.numbers import count, fixed, given, percent, signed_percent, with_uncertainty
 from cyclekit.report.tried import share_of
+from cyclekit.text.numbers import count, decimals_of, difference, fixed, given, interval, percent, signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,6 +83,22 @@ class TaktVerdict:
         }
 
     @property
+    def apart(self) -> str:
+        """Why the mean of today is not the logged one: `at_pace`, `rolled`; empty where both look alike."""
+        today, places = self.today, self.decimals
+        if today is None or today.as_logged_s is None:
+            return ""
+        if today.pace_share is not None:
+            return "at_pace"
+        return "rolled" if difference(today.mean_s, today.as_logged_s, places) else ""
+
+    @property
+    def decimals(self) -> int:
+        """Number of decimals that its cycle times show."""
+        change_s = None if self.change is None else self.change.expected_s
+        return decimals_of(None if self.today is None else self.today.mean_s, self.expected_s, change_s)
+
+    @property
     def within(self) -> tuple[float, float, float] | None:
         """Share of the cycles of `best` within the takt, with its 95 % interval; None without either."""
         best = self.best
@@ -131,11 +148,20 @@ def verdict(
     works = [work_of(named.places, named.operator)] if named else [work for work in works if work.visits]
     if not works:
         return None
-    pace = {work: some[0].pace for work, some in by_work(ranked).items()}
-    logged = {work: baseline_of(dataset, work, takt_s, named, pace.get(work, ())) for work in works}
+    first = {work: some[0] for work, some in by_work(ranked).items()}
+    logged = {work: _today_of(dataset, work, takt_s, named, first.get(work)) for work in works}
     work = next((work for work in works if logged[work] is not None), works[0])
     mine = by_work(ranked).get(work, [])
     return TaktVerdict(work, takt_s, logged[work], planned, mine[0] if mine else None, best_change(work, ranked, tried))
+
+
+def _today_of(
+    dataset: Dataset, work: Work, takt_s: float | None, named: CycleEstimate | None, estimate: CycleEstimate | None
+) -> Baseline | None:
+    """Return the logged cycle of a work as an estimate of that work has it: at the same pace, with any operators."""
+    pace, check = (estimate.pace, estimate.check) if estimate else ((), None)
+    found = baseline_of(dataset, work, takt_s, named, pace)
+    return None if found is None else found.rolled_out(check)
 
 
 def best_change(work: Work, ranked: Sequence[CycleEstimate], tried: Sequence[Tried]) -> Tried | None:
@@ -154,16 +180,14 @@ def _today(texts: ReportTexts, found: TaktVerdict) -> str:
     today = found.today
     if today is None:
         return ""
-    mean, _ = with_uncertainty(today.mean_s, today.low_s, today.high_s)
+    mean = fixed(today.mean_s, found.decimals)
     key = "verdict.today_single" if today.executions == 1 else "verdict.today"
     values = {"name": today.sequence, "executions": count(today.executions)}
-    if today.as_logged_s is not None:
-        of_one = "verdict.today_single_at_pace" if today.executions == 1 else "verdict.today_at_pace"
-        key = of_one if today.sequence is None else "verdict.baseline_at_pace"
-        values["logged"] = fixed(today.as_logged_s, 1)
-    else:
-        mean = fixed(today.mean_s, 1) if today.executions else mean  # of what was logged it is no estimate
-        key = key if today.sequence is None else "verdict.baseline"
+    how = found.apart
+    if how:
+        key = f"verdict.today{'_single' if today.executions == 1 else ''}_{how}"
+        values["logged"] = fixed(today.as_logged_s, found.decimals)
+    key = key if today.sequence is None else f"verdict.baseline{how and f'_{how}'}"
     said = texts(key, mean=mean, **values)
     return f"{said}{_within(texts, 'verdict.within_takt', today.within, found.takt_s)}."
 
@@ -193,7 +217,7 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
         said += _within(texts, "verdict.within", found.within, found.takt_s)
     if change is None:
         return f"{said}." if said else ""
-    mean, _ = with_uncertainty(change.expected_s, change.low_s, change.high_s)
+    mean = fixed(change.expected_s, found.decimals)
     beside = _beside(texts, found, change.expected_s) + _within(texts, "verdict.within", change.within, found.takt_s)
     values = {"label": change.label, "mean": mean, "change": beside}
     if not said:
@@ -205,10 +229,8 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
 
 
 def _mean(found: TaktVerdict) -> str:
-    """The mean of the best order, rounded to its interval if it has one."""
-    if found.best is None:
-        return fixed(found.expected_s, 1)
-    return with_uncertainty(found.best.expected_s, found.best.expected_low_s, found.best.expected_high_s)[0]
+    """The mean of the best order."""
+    return fixed(found.expected_s, found.decimals)
 
 
 def _overlap(best: CycleEstimate, today: Baseline) -> bool:
@@ -217,12 +239,15 @@ def _overlap(best: CycleEstimate, today: Baseline) -> bool:
 
 def _beside(texts: ReportTexts, found: TaktVerdict, mean_s: float) -> str:
     """The difference from today, as `, 8.9 s less (−9 %)`; empty without a cycle of today."""
-    saves_s = found.saves_s(mean_s)
-    if saves_s is None or found.today is None:
+    if found.today is None:
         return ""
-    key = "verdict.saves" if saves_s >= 0 else "verdict.longer"
-    part = signed_percent(mean_s / found.today.mean_s - 1)
-    return texts(key, seconds=fixed(abs(saves_s), 1), part=part)
+    saves_s = difference(found.today.mean_s, mean_s, found.decimals)
+    if not saves_s:
+        return texts("verdict.same")
+    part = signed_percent(-saves_s / found.today.mean_s)
+    return texts(
+        "verdict.saves" if saves_s > 0 else "verdict.longer", seconds=fixed(abs(saves_s), found.decimals), part=part
+    )
 
 
 def basis(texts: ReportTexts, found: TaktVerdict) -> str:
@@ -230,21 +255,25 @@ def basis(texts: ReportTexts, found: TaktVerdict) -> str:
     today = found.today
     if today is None:
         return texts("verdict.no_today", work=str(found.work))
-    mean, interval = with_uncertainty(today.mean_s, today.low_s, today.high_s)
+    places = found.decimals
+    mean, bounds = fixed(today.mean_s, places), interval(today.low_s, today.high_s, places)
     if not today.executions:
-        return texts("verdict.estimated", name=today.sequence, mean=mean, interval=interval)
-    if today.executions == 1 and today.as_logged_s is None:
-        return texts("verdict.today_one", mean=fixed(today.mean_s, 1))
+        return texts("verdict.estimated", name=today.sequence, mean=mean, interval=bounds)
+    if today.executions == 1 and not found.apart:
+        return texts("verdict.today_one", mean=mean)
     if today.executions == 1:
-        logged = fixed(today.as_logged_s, 1)
-        return texts("verdict.today_one_at_pace", mean=fixed(today.mean_s, 1), interval=interval, logged=logged)
-    values = {"mean": fixed(today.mean_s, 1), "interval": interval, "executions": count(today.executions)}
+        logged = fixed(today.as_logged_s, places)
+        key = "verdict.today_one_at_pace" if found.apart == "at_pace" else "verdict.today_one_rolled"
+        return texts(key, mean=mean, interval=bounds, logged=logged)
+    values = {"mean": mean, "interval": bounds, "executions": count(today.executions)}
     said = texts("verdict.basis_order" if today.order else "verdict.basis", **values)
     said += texts("verdict.basis_others", others=count(today.others)) if today.others else ""
-    if today.as_logged_s is not None:
-        said += texts("verdict.basis_pace", logged=fixed(today.as_logged_s, 1), part=percent(today.pace_share))
+    if found.apart == "rolled":
+        said += texts("verdict.basis_rolled", logged=fixed(today.as_logged_s, places))
+    if found.apart == "at_pace":
+        said += texts("verdict.basis_pace", logged=fixed(today.as_logged_s, places), part=percent(today.pace_share))
     if today.missed is None or found.takt_s is None:
         return f"{said}."
     missed = {"missed": count(today.missed), "share": percent(today.missed_share), "takt": given(found.takt_s)}
-    key = "verdict.basis_missed" if today.as_logged_s is None else "verdict.basis_missed_at_pace"
+    key = "verdict.basis_missed_at_pace" if found.apart == "at_pace" else "verdict.basis_missed"
     return f"{said}; {texts(key, **missed)}"

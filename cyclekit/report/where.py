@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.estimate.result import HIDDEN
 from cyclekit.report.figures import charts_of
 from cyclekit.report.figures.time_chart import MAX_SEQUENCES
-from cyclekit.report.numbers import fixed
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,8 +9,8 @@ from cyclekit.learning.rules.words import field_rows, kind_of
 from cyclekit.learning.rules.words import sentences as in_words
 from cyclekit.report.figures import charts_of
 from cyclekit.report.floor import has_robot
-from cyclekit.report.numbers import count, percent
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import count, percent
 
 if TYPE_CHECKING:
     import polars as pl
@@ -39,7 +39,7 @@ def section(page: PageInputs) -> dict[str, Any]:
         sentences.append(texts(key, percent=percent(found.explained)))
     if isinstance(page.answers, RuleSafety):
         rule = page.answers.rule
-        explained = f"{kind_of(rule)}, {rule.explained:.1%} of held-out samples"
+        explained = f"{kind_of(rule)}, {percent(rule.explained, 1)} of held-out samples"
         sentences.append(texts("why.rule", verdict=explained, sentences="; ".join(in_words(rule))))
     shown = {"sentences": sentences + missing, "charts": charts_of("why", page), "missing": missing}
     return shown | {"tables": _fields(texts, page.answers)}

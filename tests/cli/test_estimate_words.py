@@ -45,21 +45,21 @@ def test_sequences_of_the_same_work_are_ranked_within_it() -> None:
 
 @pytest.mark.parametrize(
     ("lost", "said"),
-    [(3.8, "3.8 of 33.9 s at b->c, the largest share (11%)"), (20.0, "20.0 of 33.9 s at b->c, most of it (59%)")],
+    [(3.8, "3.8 of 33.9 s at b->c, the largest share (11 %)"), (20.0, "20.0 of 33.9 s at b->c, most of it (59 %)")],
 )
 def test_most_is_said_of_more_than_half_only(lost: float, said: str) -> None:
     tasks = (TaskShare("a->b", 5.0, 4.0, 1.0, 0.0, 0.0), TaskShare("b->c", 25.0, 5.0, lost, 0.0, 0.0))
     told = largest_losses([estimate(tasks=tasks, safety_loss_s=33.9, safety_by_activity_s={"shelf": 4.0})])
     told = " ".join(told.split())
     assert said in told
-    assert "4.0 s with the operator at or on the way to shelf, the largest share (12%)" in told
+    assert "4.0 s with the operator at or on the way to shelf, the largest share (12 %)" in told
 
 
 @pytest.mark.parametrize("state", ["signals mat on", "no signal of people"])
 def test_a_signal_is_no_place_that_the_operator_walks_to(state: str) -> None:
     tasks = (TaskShare("home->left_1", 9.0, 5.0, 4.0, 0.0, 0.0),)
     one = estimate(tasks=tasks, safety_loss_s=4.0, safety_by_activity_s={state: 4.0}, operator_at={state: (1.0,)})
-    assert f"4.0 s with {state}, most of it (100%)" in " ".join(largest_losses([one]).split())
+    assert f"4.0 s with {state}, most of it (100 %)" in " ".join(largest_losses([one]).split())
     assert state in legend_of([one])
     (layer,) = blocks_of([one])[0].layers
     assert layer.tip == f"{state}: 100 % of the time"
@@ -69,4 +69,4 @@ def test_support_that_was_not_counted_is_said_to_be_so() -> None:
     told = " ".join(basis_and_limits([estimate(support=math.nan)]).split())
     assert "support not counted" in told
     assert "unknown" not in told
-    assert "mean 30.0 s (95% CI 29.4 to 30.6 s)" in told
+    assert "mean 30.0 s (95 % CI 29.4 to 30.6 s)" in told

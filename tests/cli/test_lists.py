@@ -44,7 +44,7 @@ def test_inspect_names_agents_tasks_overlaps_executions_and_outcomes(cyclekit, t
     assert "Operator pick 2 3.00 1.41 2.00 4.00" in lines
     assert "executions: 2, 5.5 to 5.5 s long (median 5.5 s)" in lines
     assert "outcome: 1 of 4 tasks failed; without an end: 1" in lines
-    assert "planned start: known of 25% of the tasks" in lines
+    assert "planned start: known of 25 % of the tasks" in lines
     facts = cyclekit("inspect", tasks, "--json").document["logs"][0]["task_list"]
     assert facts["failed"] == facts["no_end"] == 1
     assert {one["name"]: one["overlaps"] for one in facts["agents"]} == {"Operator": 1, "kuka": 0}
@@ -54,8 +54,8 @@ def test_inspect_gives_the_values_of_an_override_and_how_long_each_held(cyclekit
     done = cyclekit("inspect", override)
     text = " ".join(done.out.split())
     assert "override 0 to 100 %, 3 values, known for 10 s" in text
-    assert "60% of the time at 100 %, 30% of the time at 50 %, 10% of the time at 0 %" in text
-    assert "distance 1.90 to 2.00 m (median 1.95 m); 0% of the rows repeat the one before" in text
+    assert "60 % of the time at 100 %, 30 % of the time at 50 %, 10 % of the time at 0 %" in text
+    assert "distance 1.90 to 2.00 m (median 1.95 m); 0 % of the rows repeat the one before" in text
     assert "10 Hz" in text
     facts = cyclekit("inspect", override, "--json").document["logs"][0]["safety"]
     assert [value for value, _ in facts["override_values"]] == [1.0, 0.5, 0.0]

@@ -22,9 +22,10 @@ from rich.cells import cell_len
 from cyclekit.cli import terminal
 from cyclekit.cli.facts import page
 from cyclekit.cli.options import seconds, vector
-from cyclekit.cli.terminal import Terminal, bullet, columns, duration, percent, table, write_json, write_out
+from cyclekit.cli.terminal import Terminal, bullet, columns, table, write_json, write_out
 from cyclekit.inspect.describe import describe
 from cyclekit.inspect.facts import DatasetDescription
+from cyclekit.text.numbers import percent, signed_percent
 from cyclekit.text.plain_text import one_line
 
 
@@ -72,28 +73,9 @@ def test_a_long_wait_beside_numbers_is_a_table() -> None:
         assert table(["task", "waits for", "s"], [["pick", "w" * length, "9" * 6]]).count("w") >= length
 
 
-@pytest.mark.parametrize(
-    ("value_s", "said"),
-    [(0.84, "0.8 s"), (9.96, "10 s"), (59.6, "60 s"), (119.6, "2 min 0 s"), (185, "3 min 5 s"), (4800, "1 h 20 min")],
-)
-def test_a_duration_is_said_as_people_say_it(value_s: float, said: str) -> None:
-    assert duration(value_s) == said
-
-
-@pytest.mark.parametrize(
-    ("fraction", "said"),
-    [
-        (0.5, "50%"),
-        (0.9999, ">99%"),
-        (1.0, "100%"),
-        (0.0, "0%"),
-        (0.001, "<1%"),
-        (None, "unknown"),
-        (math.nan, "unknown"),
-    ],
-)
-def test_a_fraction_never_rounds_to_all_or_nothing(fraction: float | None, said: str) -> None:
-    assert percent(fraction) == said
+def test_numbers_have_signs_that_every_terminal_has(capsys: pytest.CaptureFixture[str]) -> None:
+    Terminal(json=False, quiet=False).answer({}, f"{signed_percent(-0.09)} of {percent(0.5)}")
+    assert capsys.readouterr().out == "-9 % of 50 %\n"
 
 
 def test_what_is_not_a_number_is_null_in_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -164,7 +146,7 @@ def test_progress_is_few_lines_where_nothing_can_be_redrawn(
     lines = err.splitlines()
     assert out == ""
     assert 5 <= len(lines) <= 8  # after 2, 4, 8 ... 64 s of 100
-    assert lines[0].startswith("working: 2% after 2.0 s, about 98 s left")
+    assert lines[0].startswith("working: 2.0 % after 2.0 s, about 98 s left")
 
 
 def test_progress_in_a_terminal_shows_rate_and_time_left(

@@ -102,7 +102,7 @@ def test_the_estimate_s_table_is_readable_in_80_columns(
     assert shown.code == 0
     assert max(map(len, shown.out.splitlines())) <= 80
     assert "one way " in shown.out
-    assert "90% of cycles" in shown.out
+    assert "90 % of cycles" in shown.out
 
 
 def test_a_replay_of_an_execution_is_written_where_it_was_asked_for(

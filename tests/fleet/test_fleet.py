@@ -301,7 +301,7 @@ def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
     assert order == sorted(order)
     look = page[page.index('id="look"') : page.index('id="cells"')]
     assert "worst loses most to safety: 50" in look
-    assert "5 of the cells need a look" in look
+    assert "5 cells need a look" in look
     for said in (
         "20 days old",
         "of the rows were set aside",

@@ -83,10 +83,10 @@ def test_means_whose_intervals_overlap_are_told_apart_beside_the_same_operators(
 
 
 @pytest.mark.usefixtures("words_only")
-def test_the_mean_is_rounded_to_what_its_interval_supports(dataset, tmp_path):
+def test_a_cycle_time_shows_one_decimal_whatever_its_interval_is(dataset, tmp_path):
     wide = estimate("A first", 123.456, 17.0)
     facts = compose_report(dataset, None, tmp_path / "r.html", estimates=[wide])
-    assert facts.headline.replace("\N{NO-BREAK SPACE}", " ") == "“A first” takes 123 s on average."
+    assert facts.headline.replace("\N{NO-BREAK SPACE}", " ") == "“A first” takes 123.5 s on average."
 
 
 def test_metrics_baselines_and_confusion_are_shown(page):

@@ -1,4 +1,4 @@
-"""The order found, compared with the logged ones, and the part of its saving that holds for other operators."""
+"""The order found, and what it saves beside other operators than those that it was chosen with."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
+from cyclekit.estimate.baseline import LOGGED, baseline_of
 from cyclekit.estimate.cycle.transit import TransitTable, transit_table
 from cyclekit.estimate.finding import Finding, light_of
 from cyclekit.estimate.joint.answer import waits_are_known
@@ -25,8 +26,10 @@ from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.robot.signal_states import on_states_of
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.statistics.resample import resampled
+from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.numbers import decimals_of, difference, fixed, seconds, with_interval
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.baseline import Baseline
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.robot.safety import SafetyModel
@@ -46,6 +50,8 @@ if TYPE_CHECKING:
 
 WALKED = 10
 """Number of different orders to compare with that are simulated; of more, the rest only use the table of arrivals."""
+RANDOM = "random orders"
+"""What the order found is compared with where no execution of the same work was logged."""
 RANDOM_BASIS = 200
 """Number of random orders to compare with, if no logged order does the same work."""
 
@@ -57,12 +63,12 @@ class OrderPlan(Result):
     Attributes:
         order: The visits in order; the least mean plus standard error of all orders tried.
         places: All places in order, including `via`.
-        expected_s: Its mean cycle time with the logged operators, as `estimate` returns it for these places.
-        against: Basis of comparison: `logged orders` or `random orders`.
-        against_s: Mean cycle time of these orders with the same operators.
+        expected_s: Its mean cycle time, as `estimate` returns it for `sequence`: with its allowance.
+        against: Basis of comparison: `logged executions` of the same work, `random orders` if there are none.
+        against_s: Mean cycle time of these, as a baseline (`estimate.baseline`), or of random orders.
         saves_s: against_s - expected_s, and its 95 % interval from resampled executions, widened by a doubted bias.
-        saves_unseen_s: Saving, on one half of the executions, of the order chosen on the other half (mean of both
-            halves): the part of the saving that is not due to chance.
+        allowance: Factor in expected_s for having been chosen: on one half of the executions, the order chosen on the
+            other half saves less than on its own (mean of both halves).
         searched: `all orders`, `all orders of logged tasks` (others need unlogged tasks) or `search`.
         tried: Number of orders scored.
         executions: Number of logged executions behind the result.
@@ -79,7 +85,6 @@ class OrderPlan(Result):
     against: str
     against_s: float
     saves_s: tuple[float, float, float]
-    saves_unseen_s: float
     searched: str
     tried: int
     executions: int
@@ -89,16 +94,12 @@ class OrderPlan(Result):
     unlogged: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     operator: tuple[str, ...] | None = None
-
-    @property
-    def drawn_alike(self) -> bool:
-        """Whether all orders were compared with the same draws of both agents, so no logged operators chose it."""
-        return self.saves_unseen_s == self.saves_s[0]
+    allowance: float = 1.0
 
     def sequence(self, name: str) -> TaskSequence:
         """Return the order as a sequence: the robot's places or, if the operator's was searched too, a plan of both."""
         if self.operator is None:
-            return TaskSequence(name, self.places)
+            return TaskSequence(name, self.places, allowance=self.allowance)
         tasks = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(self.places)]
         return TaskSequence.of_plan(name, [*tasks, *(PlannedTask("operator", place) for place in self.operator)])
 
@@ -121,9 +122,14 @@ class OrderPlan(Result):
         return pl.DataFrame({"visit": range(1, len(self.order) + 1), "place": self.order})
 
     def _lines(self) -> list[str]:
-        saved, low, high = self.saves_s
-        against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
-        return [f"{self.expected_s:.1f} s; {against}", f"order {', '.join(self.order)}"]
+        against = f"saves {self.saving_in_words} against {self.against}"
+        return [f"{seconds(self.expected_s, self.against_s)}; {against}", f"order {', '.join(self.order)}"]
+
+    @property
+    def saving_in_words(self) -> str:
+        """The saving as the two means differ in the text, with its interval."""
+        places = decimals_of(self.expected_s, self.against_s)
+        return with_interval(difference(self.against_s, self.expected_s, places), *self.saves_s[1:], places)
 
 
 @one_thread()
@@ -167,24 +173,31 @@ def plan(
     table = transit_table(model, tasks, tracks, progress=progress)
     every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
     order, searched, tried = best_order(every, seed=seed, progress=progress)
-    against, basis = _basis(dataset, jobs, seed)
-    unseen = _unseen(table, jobs, basis, tracks.executions, seed)
+    today = baseline_of(dataset, work_of(some), None)
+    basis = _logged_orders(dataset, jobs, today) or _random_orders(jobs, seed)
     looked_up = float(every.means([order])[0])
     if not np.isfinite(looked_up):
-        raise EstimateError(f"{jobs.shown}: cycles do not end within {3 * length:.0f} s", cure=ENDLESS)
+        raise EstimateError(f"{jobs.shown}: cycles do not end within {fixed(3 * length, 0)} s", cure=ENDLESS)
+    seen_s = float(every.means(basis).mean()) - looked_up
+    allowance = 1.0 + max(0.0, seen_s - _unseen(table, jobs, basis, tracks.executions, seed)) / looked_up
     walked = partial(estimate, model, dataset, seed=seed, extrapolate=True, other_cell=other_cell)
-    (found,) = walked([TaskSequence("order 0", jobs.places(order))], validate=validate, check=check)
-    saved = _mean_of(basis, every, partial(walked, validate=False, check=found.check)) - np.array(found.durations_s)
-    low, high = np.quantile(resampled(tracks.executions, seed) @ saved, (0.025, 0.975)).tolist()
-    doubt_s = _doubt_s(found, float(saved.mean()))
+    best = TaskSequence("order 0", jobs.places(order), allowance=allowance)
+    (found,) = walked([best], validate=validate, check=check)
+    each_s = _mean_of(basis, every, partial(walked, validate=False, check=found.check)) - np.array(found.durations_s)
+    around_s = np.quantile(resampled(tracks.executions, seed) @ each_s, (0.025, 0.975)) - each_s.mean()
+    against_s = found.expected_s + float(each_s.mean())
+    if today is not None:
+        against_s = today.rolled_out(found.check).mean_s
+    saved_s = against_s - found.expected_s
+    doubt_s = _doubt_s(found, saved_s)
+    low_s, high_s = (saved_s + around_s + (-doubt_s, doubt_s)).tolist()
     return OrderPlan(
         order=order,
         places=jobs.places(order),
         expected_s=found.expected_s,
-        against=against,
-        against_s=found.expected_s + float(saved.mean()),
-        saves_s=(float(saved.mean()), low - doubt_s, high + doubt_s),
-        saves_unseen_s=unseen * found.expected_s / looked_up,  # from seconds of the table to seconds of the simulation
+        against=LOGGED if today is not None else RANDOM,
+        against_s=against_s,
+        saves_s=(saved_s, low_s, high_s),
         searched=searched,
         tried=tried,
         executions=len(set(tracks.executions)),
@@ -193,6 +206,7 @@ def plan(
         findings=found.findings,
         unlogged=tuple(unlogged),
         notes=tuple(height_notes(dataset.samples(columns=["human_x_m", "human_z_m"]))),
+        allowance=allowance,
     )
 
 
@@ -212,14 +226,18 @@ def _of_both(
         model, dataset, jobs, seed=seed, validate=validate, check=check, other_cell=other_cell, tell=tell
     )
     operator = tuple(task.name for task in sequence.plan if task.agent == "operator")
+    today = baseline_of(dataset, work_of(sequence.places, sequence.operator), None, pace=found.pace)
+    against_s = found.expected_s + saved[0]
+    if today is not None:
+        today = today.rolled_out(found.check)
+        against_s, saved = today.mean_s, today.saving(found)
     return OrderPlan(
         order=order,
         places=jobs.places(order),
         expected_s=found.expected_s,
-        against="random orders",
-        against_s=found.expected_s + saved[0],
+        against=LOGGED if today is not None else RANDOM,
+        against_s=against_s,
         saves_s=saved,
-        saves_unseen_s=saved[0],  # draws do not depend on the order, so the saving is the same for all operators
         searched="search",
         tried=tried,
         executions=found.executions,
@@ -269,20 +287,20 @@ def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[s
     return {task: known[task] for task in wanted if task in known}, missing
 
 
-def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:
-    """Return the orders to compare with: logged orders of the same work, else random ones."""
+def _logged_orders(dataset: Dataset, jobs: Jobs, today: Baseline | None) -> list[Order]:
+    """Return the orders of the executions of a baseline that the jobs allow; none without one."""
     found = []
-    for one in dataset.card.executions:
+    for one in dataset.card.executions if today else ():
         order = tuple(place for place in one.places if place in jobs.visit)
-        if not one.whole or sorted(order) != sorted(jobs.visit) or not jobs.allowed(order):
-            continue
-        went, wanted = one.places, jobs.places(order)
-        if went[: len(wanted)] == wanted and len(went) - len(wanted) <= (jobs.end is None):
+        wanted = jobs.places(order) if sorted(order) == sorted(jobs.visit) and jobs.allowed(order) else None
+        if today and one.execution in today.names and wanted == one.places[: len(wanted or ())]:
             found.append(order)
-    if found:
-        return "logged orders", found
+    return found
+
+
+def _random_orders(jobs: Jobs, seed: int) -> list[Order]:
     rng = np.random.default_rng(seed)
-    return "random orders", [random_order(jobs, rng) for _ in range(RANDOM_BASIS)]
+    return [random_order(jobs, rng) for _ in range(RANDOM_BASIS)]
 
 
 def _unseen(table: TransitTable, jobs: Jobs, basis: list[Order], executions: tuple[str, ...], seed: int) -> float:

@@ -26,6 +26,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
+from cyclekit.estimate.baseline import LOGGED
 from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import estimate_plans
@@ -33,6 +34,7 @@ from cyclekit.learning.task_times.learn import plan_of
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import always_in_a_row
+from cyclekit.text.numbers import decimals_of, difference, seconds, with_interval
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset.cards.task_model import TaskModelCard
+    from cyclekit.estimate.baseline import Baseline
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.learning.task_times.runs import Run
     from cyclekit.plots.drawing import Drawing
@@ -94,7 +97,7 @@ class TaskOrderPlan(Result):
     Attributes:
         estimate: Its estimate.
         tasks: The tasks of each agent, in order.
-        against: Basis of comparison: `logged orders` or `random orders`.
+        against: Basis of comparison: `logged executions`, `logged orders` as estimated, or `random orders`.
         against_s: Mean cycle time of these orders.
         saves_s: against_s minus the expected cycle time, and its 95 % interval.
         tried: Number of orders scored.
@@ -106,6 +109,10 @@ class TaskOrderPlan(Result):
     against_s: float
     saves_s: tuple[float, float, float]
     tried: int
+
+    def against_today(self, today: Baseline) -> TaskOrderPlan:
+        """Return it compared with logged executions of the same work."""
+        return replace(self, against=LOGGED, against_s=today.mean_s, saves_s=today.saving(self.estimate))
 
     def plot(self) -> Drawing:
         """Return the plan as a time chart of both agents (matplotlib figure)."""
@@ -135,9 +142,16 @@ class TaskOrderPlan(Result):
         return "# Written by cyclekit plan\n" + sequence_to_toml(TaskSequence.of_plan("planned", self.tasks))
 
     def _lines(self) -> list[str]:
-        saved, low, high = self.saves_s
-        against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
-        return [f"{self.estimate.expected_s:.1f} s; {against}", *(task.shown for task in self.tasks)]
+        expected_s = self.estimate.expected_s
+        against = f"saves {self.saving_in_words} against {self.against}"
+        return [f"{seconds(expected_s, self.against_s)}; {against}", *(task.shown for task in self.tasks)]
+
+    @property
+    def saving_in_words(self) -> str:
+        """The saving as the two means differ in the text, with its interval."""
+        places = decimals_of(self.estimate.expected_s, self.against_s)
+        saved_s = difference(self.against_s, self.estimate.expected_s, places)
+        return with_interval(saved_s, *self.saves_s[1:], places)
 
 
 def load_task_jobs(path: Path) -> TaskJobs:

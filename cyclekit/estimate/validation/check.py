@@ -98,6 +98,7 @@ class Check:
             waits for.
         level: Logged and rolled-out durations of the logged orders, to correct estimates if the logs do not show
             people; None if they do.
+        rolled: Mean of the rollouts with all other operators, as a share of the mean logged duration.
         spread: Factor on the deviations of cycles from their mean, so that they scatter as logged executions of other
             orders do about their expected durations; 1 if the logs show people.
     """
@@ -117,6 +118,7 @@ class Check:
     unseen_error: float = 0.0
     spread: float = 1.0
     level: LogLevel | None = None
+    rolled: float = 1.0
 
     @property
     def look_at(self) -> str:
@@ -138,6 +140,14 @@ class Check:
         if self.level is not None:
             return self.level.factor
         return 1.0 / (1.0 + self.own_bias * self._sure)
+
+    @property
+    def like_for_like(self) -> float:
+        """Factor on a logged mean that rolls it out as estimates are: with other operators, and corrected.
+
+        What is left of it is the model's error and chance, which is in an estimate too, and in no saving.
+        """
+        return self.rolled * self.factor
 
     @property
     def model_error(self) -> float:
@@ -376,4 +386,5 @@ def compare(logged_s: Vector, own_s: Vector, others_s: Floats, held_out: Bools, 
         coverage=float(inside.mean()) if enough else None,
         coverage_held_out=float(inside[held_out].mean()) if enough and held_out.any() else None,
         levels=(outer, 1 - outer),
+        rolled=float(mean.mean() / logged_s.mean()),
     )

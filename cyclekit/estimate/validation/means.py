@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -119,7 +119,7 @@ def means_of(
     level: Vector | None = None,
     others: BesideRollout | None = None,
 ) -> Means:
-    """Return the mean of the cycles of one sequence.
+    """Return the mean of the cycles of one sequence, with its allowance.
 
     Args:
         ask: The question.
@@ -129,6 +129,18 @@ def means_of(
         level: Result of `level_of`, shape (resamples,).
         others: What may be weighed in; None if nothing applies to this sequence.
     """
+    found, by = _mean_of(ask, sequence, cycles, weights, level, others), sequence.allowance
+    return found if by == 1.0 else replace(found, factor=found.factor * by, resampled_s=found.resampled_s * by)
+
+
+def _mean_of(
+    ask: Question,
+    sequence: TaskSequence,
+    cycles: Rolled,
+    weights: Floats,
+    level: Vector | None,
+    others: BesideRollout | None,
+) -> Means:
     check = ask.check
     resampled_s = cycles.resampled_means(weights)
     if check is None:

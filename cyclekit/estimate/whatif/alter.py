@@ -31,6 +31,7 @@ from cyclekit.estimate.whatif.signals import SAME_LEVEL, with_other_signals
 from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.learning.rules.samples.quantities import RulePlace, quantities, shifted
+from cyclekit.text.numbers import compact
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -243,6 +244,16 @@ def _seen_from(change: Change, xyz_m: NDArray[np.float64]) -> NDArray[np.float64
     return np.asarray((xyz_m - np.array(change.base_m)) @ rotation)
 
 
+def _at_most(frequency: float) -> str:
+    """Return the cure: how often the operator can come, as a multiple of the logged frequency, rounded down."""
+    most = int(100 * frequency) / 100
+    return (
+        f"At most {compact(most)} times is possible."
+        if most > 1
+        else "The operator is always there: ask for fewer visits."
+    )
+
+
 def _as_often(
     name: str, frequency: float, tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel
 ) -> OperatorTracks:
@@ -254,7 +265,7 @@ def _as_often(
         seen = f"change {name!r}: the operator is away {share:.0%} of the time, so the operator cannot come "
         raise EstimateError(
             f"{seen}{frequency:g} times as often",
-            cure=f"At most {1 / max(1 - share, 1e-9):.2f} times is possible.",
+            cure=_at_most(1 / max(1 - share, 1e-9)),
         )
     ends = np.cumsum(np.where(away, stretch, 1.0), axis=1)
     samples = np.arange(away.shape[1])

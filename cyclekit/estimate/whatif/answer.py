@@ -18,6 +18,7 @@ from cyclekit.estimate.validation.question import Altered
 from cyclekit.estimate.whatif.alter import altered_safety, altered_tasks, altered_tracks
 from cyclekit.estimate.whatif.coupled import altered_coupling
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.numbers import compact, decimals_of, difference, seconds, with_interval
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -76,11 +77,20 @@ class WhatIf(Result):
         return pl.DataFrame([row | times | {"saves_s": saved, "saves_low_s": low, "saves_high_s": high}])
 
     def _lines(self) -> list[str]:
-        saved, low, high = self.saves_s
-        times = f"{self.before.expected_s:.1f} -> {self.after.expected_s:.1f} s"
-        return [
-            f"{self.change!r}, {self.after.name!r}: {times}, saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s)"
-        ]
+        before_s, after_s = self.before.expected_s, self.after.expected_s
+        times = f"{seconds(before_s, after_s)} -> {seconds(after_s, before_s)}"
+        return [f"{self.change!r}, {self.after.name!r}: {times}, saves {self.saving_in_words}"]
+
+    @property
+    def saving_in_words(self) -> str:
+        """The saving as the two means differ in the text, with its interval."""
+        before_s, after_s, places = self.before.expected_s, self.after.expected_s, self.decimals
+        return with_interval(difference(before_s, after_s, places), *self.saves_s[1:], places)
+
+    @property
+    def decimals(self) -> int:
+        """Number of decimals that all times of this result show."""
+        return decimals_of(self.before.expected_s, self.after.expected_s)
 
 
 @one_thread()
@@ -191,7 +201,7 @@ def _in_time(change: Change, logged: Dynamics) -> str:
     """Return a sentence on the response of s that is kept from the logs."""
     kept = {name: value for name, value in vars(logged).items() if value and name not in change.dynamics}
     if kept:
-        told = ", ".join(f"{name} {value:.3g}" for name, value in kept.items())
+        told = ", ".join(f"{name} {compact(value, 3)}" for name, value in kept.items())
         return f"the changed safety function keeps the logged {told}"
     return "no logged latency, ramp or hysteresis is kept: none is known, or the change sets them"
 

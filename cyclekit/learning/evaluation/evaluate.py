@@ -30,6 +30,7 @@ from cyclekit.learning.rules.safety import RuleSafety, asks_signals
 from cyclekit.learning.signal_inputs import as_learned_by, learned_rows
 from cyclekit.learning.windows import Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.numbers import fixed, percent, scientific
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -132,9 +133,11 @@ class Evaluation(Result):
         return pl.DataFrame([dict(vars(row)) for row in self.mse])
 
     def _lines(self) -> list[str]:
-        named = "" if self.accuracy is None else f", {self.accuracy:.1%} of levels predicted correctly"
+        named = "" if self.accuracy is None else f", {percent(self.accuracy)} of levels predicted correctly"
         about = f"{self.network} for problem {self.problem}, {len(self.executions)} executions"
-        return [f"{about}; mean absolute error {self.metrics.mae:.4f}, MSE {self.metrics.mse_mean:.2e}{named}"]
+        return [
+            f"{about}; mean absolute error {fixed(self.metrics.mae, 4)}, MSE {scientific(self.metrics.mse_mean)}{named}"
+        ]
 
 
 @one_thread()

@@ -9,7 +9,7 @@ import numpy as np
 from cyclekit.learning.rules.law.law import SAME, shape_of
 from cyclekit.learning.rules.samples.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
 from cyclekit.learning.rules.samples.regions import asks_operator, corners, polygon_corners
-from cyclekit.text.numbers import exact_percent
+from cyclekit.text.numbers import compact, exact_percent, fixed, percent, signed, with_interval
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import (
@@ -48,18 +48,18 @@ def sentences(rule: RuleCard) -> list[str]:
 
 def verdict(found: RuleSearch) -> str:
     """Return one line on which rule explains the commanded level, or that none does."""
-    rival = "" if found.network is None else f"; the network {found.network:.2%}"
+    rival = "" if found.network is None else f"; the network {percent(found.network, 2)}"
     if found.rule is not None and found.rule.law is not None:
-        others = "".join(f"; {name} {part:.2%}" for name, part in found.rule.others.items())
-        said = f"the scaling is continuous: {found.rule.family} gives {found.rule.explained:.2%}"
-        return f"{said} of held-out samples between its bounds within {SAME:.0%} speed ({others[2:]}{rival})"
+        others = "".join(f"; {name} {percent(part, 2)}" for name, part in found.rule.others.items())
+        said = f"the scaling is continuous: {found.rule.family} gives {percent(found.rule.explained, 2)}"
+        return f"{said} of held-out samples between its bounds within {percent(SAME)} speed ({others[2:]}{rival})"
     if found.rule is not None:
-        said = f"{kind_of(found.rule)} explains {found.rule.explained:.2%} of held-out samples"
+        said = f"{kind_of(found.rule)} explains {percent(found.rule.explained, 2)} of held-out samples"
         return f"{said} (commanded level{rival})"
     if not found.explained:
         return "no rule was searched: too few executions"
     best = max(found.explained, key=lambda name: found.explained[name])
-    return f"no simple rule explains the commanded level; best: {best} ({found.explained[best]:.1%}{rival})"
+    return f"no simple rule explains the commanded level; best: {best} ({percent(found.explained[best], 1)}{rival})"
 
 
 def _law(law: LawCard) -> list[str]:
@@ -69,14 +69,15 @@ def _law(law: LawCard) -> list[str]:
     slowest_m = shape.stop_m + shape.linear_m * law.lowest + shape.square_m * law.lowest**2
     lengths = f"{_metres(law.stop)} + {_metres(law.linear)} * s + {_metres(law.square)} * s^2"
     rates = (("down", law.ramp_down_per_s), ("up", law.ramp_up_per_s))
-    limited = [f"{name} {100 * rate:.3g} %/s" for name, rate in rates if rate]
+    limited = [f"{name} {compact(100 * rate, 3)} %/s" for name, rate in rates if rate]
     return [
-        f"speed = the highest s from {100 * law.lowest:.3g} % to 100 % at which {lengths} "
+        f"speed = the highest s from {compact(100 * law.lowest, 3)} % to 100 % at which {lengths} "
         f"does not exceed the distance of the operator {_TO[law.distance]}",
-        f"{_speed(law.lowest)} nearer than {slowest_m:.3f} m, full speed from {full_m:.3f} m on",
-        f"by ISO/TS 15066: C + v_h T_r = {law.stop.value:.3f} m, v_p (T_r + v_h / a) = {law.linear.value:.3f} m, "
-        f"v_p^2 / (2 a) = {law.square.value:.3f} m with v_p the programmed speed; the log determines no more",
-        f"reaction time {law.latency_s:.3f} s; rate of change {', '.join(limited) or 'no limit seen'}",
+        f"{_speed(law.lowest)} nearer than {fixed(slowest_m, 3)} m, full speed from {fixed(full_m, 3)} m on",
+        f"by ISO/TS 15066: C + v_h T_r = {fixed(law.stop.value, 3)} m, "
+        f"v_p (T_r + v_h / a) = {fixed(law.linear.value, 3)} m, "
+        f"v_p^2 / (2 a) = {fixed(law.square.value, 3)} m with v_p the programmed speed; the log determines no more",
+        f"reaction time {fixed(law.latency_s, 3)} s; rate of change {', '.join(limited) or 'no limit seen'}",
     ]
 
 
@@ -113,7 +114,7 @@ def _asked(region: RegionCard, *, away: bool) -> str:
 
 
 def _signal(signal: SignalCard) -> str:
-    after = f" (delay {signal.delay_s:.2f} s)" if signal.delay_s else ""
+    after = f" (delay {fixed(signal.delay_s, 2)} s)" if signal.delay_s else ""
     where = f" while the TCP is {place_of(signal)}" if signal.robot else ""
     return f"signal {signal.signal} is {signal.value}{where}{after}"
 
@@ -124,7 +125,7 @@ FIELD_COLUMNS = "signal ", "occupied at", "while the TCP is", "speed at most"
 def field_rows(rule: RuleCard) -> list[tuple[str, ...]]:
     """Return the table of fields, places on the robot's path and speeds; columns FIELD_COLUMNS."""
     limits = ((limit, one) for limit in rule.limits for one in limit.within.signals)
-    return [(one.signal, one.value, place_of(one), f"{100 * limit.scaling:.4g} %") for limit, one in limits]
+    return [(one.signal, one.value, place_of(one), f"{compact(100 * limit.scaling, 4)} %") for limit, one in limits]
 
 
 def place_of(signal: SignalCard) -> str:
@@ -138,18 +139,23 @@ def place_of(signal: SignalCard) -> str:
 
 def _between(name: str, low: MetresCard | None, high: MetresCard | None) -> str:
     if low is not None and high is not None:
-        return f"{name} {low.value:.3f} to {high.value:.3f} m"
-    return f"{name} above {low.value:.3f} m" if low is not None else f"{name} below {high.value if high else 0:.3f} m"
+        return f"{name} {fixed(low.value, 3)} to {fixed(high.value, 3)} m"
+    return (
+        f"{name} above {fixed(low.value, 3)} m"
+        if low is not None
+        else f"{name} below {fixed(high.value if high else 0, 3)} m"
+    )
 
 
 def _polygon(polygon: PolygonCard) -> str:
     known = [side.metres for side in polygon.sides if side.metres.low is not None and side.metres.high is not None]
     off = max((max(m.value - (m.low or 0.0), (m.high or 0.0) - m.value) for m in known), default=None)
-    sure = "" if off is None else f", edges known to {off:.3f} m (95 % CI)"
+    sure = "" if off is None else f", edges known to {fixed(off, 3)} m (95 % CI)"
     if (found := polygon_corners(polygon)) is not None:
-        return f"polygon with corners {', '.join(f'({x:.2f}, {y:.2f})' for x, y in found)} m{sure}"
+        return f"polygon with corners {', '.join(f'({fixed(x, 2)}, {fixed(y, 2)})' for x, y in found)} m{sure}"
     lines = [
-        f"{np.cos(side.angle_rad):.3f} x {np.sin(side.angle_rad):+.3f} y below {side.metres.value:.3f} m"
+        f"{fixed(np.cos(side.angle_rad), 3)} x {signed(np.sin(side.angle_rad), 3)} y "
+        f"below {fixed(side.metres.value, 3)} m"
         for side in polygon.sides
     ]
     return f"area {', '.join(lines)}{sure} (its other edges were never crossed)"
@@ -159,11 +165,11 @@ def _rectangle(rectangle: RectangleCard) -> str:
     turned, degrees = rectangle.angle_rad != 0.0, np.rad2deg(rectangle.angle_rad)
     sides = [_side(name, edges) for name, edges in zip("uv" if turned else "xy", _sides(rectangle), strict=True)]
     said = "rectangle " + ", ".join(side for side in sides if side)
-    said += f", u and v being x and y turned by {degrees:.1f} degrees" if turned else ""
+    said += f", u and v being x and y turned by {fixed(degrees, 1)} degrees" if turned else ""
     found = corners(rectangle)
     if found is None:
         return f"{said} (its other edges were never crossed)"
-    return f"{said} (corners {', '.join(f'({x:.2f}, {y:.2f})' for x, y in found)} m)"
+    return f"{said} (corners {', '.join(f'({fixed(x, 2)}, {fixed(y, 2)})' for x, y in found)} m)"
 
 
 def _sides(rectangle: RectangleCard) -> tuple[_Edges, _Edges]:
@@ -180,5 +186,5 @@ def _side(name: str, edges: _Edges) -> str:
 
 def _metres(metres: MetresCard) -> str:
     if metres.low is None or metres.high is None:
-        return f"{metres.value:.3f} m"
-    return f"{metres.value:.3f} m (95 % CI {metres.low:.3f} to {metres.high:.3f})"
+        return f"{fixed(metres.value, 3)} m"
+    return with_interval(metres.value, metres.low, metres.high, 3, "m")

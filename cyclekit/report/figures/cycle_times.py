@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import given, with_uncertainty
 from cyclekit.report.pictures import Picture
+from cyclekit.text.numbers import decimals_of, fixed, given
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,7 +29,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
         "tip": texts.section("answer")["tip"],
         "takt": texts("answer.takt_key", takt="" if takt_s is None else given(takt_s)),
     }
-    mean, _ = with_uncertainty(best.expected_s, best.expected_low_s, best.expected_high_s)
+    mean = fixed(best.expected_s, decimals_of(*(each.expected_s for each in page.ranked)))
     alt = texts("answer.picture", count=len(page.ranked), name=best.name, mean=mean)
     picture = Picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, page.ranked, labels, takt_s))
     yield Chart(picture, texts("answer.caption" if len(by_work(page.ranked)) == 1 else "answer.caption_works"))

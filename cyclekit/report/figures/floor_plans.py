@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import fixed
 from cyclekit.report.pictures import Picture
-from cyclekit.text.numbers import whole_percent
+from cyclekit.text.numbers import fixed, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from cyclekit.dataset.lost_time import CAUSE_NAMES, lost_time
 from cyclekit.plots import colours
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import fixed
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,9 +8,9 @@ import numpy as np
 
 from cyclekit.report.calibration import calibration
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import count, fixed, percent
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import count, fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

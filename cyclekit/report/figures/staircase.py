@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import UNKNOWN, count, fixed
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
-from cyclekit.text.numbers import whole_percent
+from cyclekit.text.numbers import UNKNOWN, count, fixed, span, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,10 +42,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
 
 def _bands(texts: ReportTexts, found: LoggedResponse) -> ReportTable:
     heads = [texts("why.level"), texts("why.range"), texts("why.count")]
-    rows = [
-        [whole_percent(b.scaling), f"{fixed(b.low_m, 2)} to {fixed(b.high_m, 2)}", count(b.samples)]
-        for b in found.bands
-    ]
+    rows = [[whole_percent(b.scaling), span(b.low_m, b.high_m, 2), count(b.samples)] for b in found.bands]
     return ReportTable(texts("why.bands"), heads, rows, frozenset({0, 1, 2}))
 
 

@@ -12,9 +12,9 @@ from cyclekit.plots.gantt import draw_blocks, height_in
 from cyclekit.plots.style import tip
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.findings import task_shares
-from cyclekit.report.numbers import UNKNOWN, count, fixed, percent
 from cyclekit.report.pictures import WIDE_IN, Picture
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import UNKNOWN, count, fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -110,7 +110,7 @@ def _said(texts: ReportTexts, drawn: Sequence[CycleEstimate], left: int) -> Iter
     yield texts("time_chart.caption")
     levels = sorted(drawn[-1].quantiles_s)
     if len(levels) > 1:
-        yield texts("time_chart.course", share=f"{100 * (levels[-1] - levels[0]):.0f} %")
+        yield texts("time_chart.course", share=percent(levels[-1] - levels[0]))
     if any(each.plan and each.operator and not each.asked for each in drawn):
         yield texts("time_chart.cut")
     if any(each.operator_at for each in drawn):

@@ -8,9 +8,9 @@ from cyclekit.learning.coupling.words import WaitRow, habit_lines
 from cyclekit.plots.style import tip
 from cyclekit.plots.waits import WaitArrow, draw_waits, height_in
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import count, fixed, percent
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
+from cyclekit.text.numbers import count, fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -206,6 +206,9 @@ const answer = (places, asked, takt_s, deadline = Infinity) => {
     const resampled = resampledMeans(cycles).map((value) => value * factor);
     means = { factor, resampled, error: modelError() };
   }
+  const given = facts.sequences.find((each) => each.robot && each.robot.join() === places.join());
+  const by = given && given.allowance ? given.allowance : 1; // TaskSequence.allowance
+  means = { ...means, factor: means.factor * by, resampled: means.resampled.map((value) => value * by) };
   const walked = Math.min(base.walked, cycles.walked);
   const entry = entryOf(cycles, means, legs, takt_s);
   if (entry.support < 0.5) return { unknown: say("thin", { share: percent(entry.support) }), walked };

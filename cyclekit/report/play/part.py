@@ -12,6 +12,7 @@ from cyclekit.report.play.both import played_together, tables_of_both
 from cyclekit.report.play.lists import tables_of_lists
 from cyclekit.report.play.packed import packed
 from cyclekit.report.play.tables import playable, played_alone, tables_of
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -94,7 +95,7 @@ def _made(texts: ReportTexts, kind: Kind, shown: Sequence[CycleEstimate], make: 
     except CyclekitError as error:  # the estimates were made in another process, on other tracks
         return _Made(kind, names, None, texts("play.failed", why=error.seen))
     if len(data) > MAX_BYTES:
-        return _Made(kind, names, None, texts("play.too_large", size=f"{len(data) / 1e6:.1f}"))
+        return _Made(kind, names, None, texts("play.too_large", size=fixed(len(data) / 1e6, 1)))
     return _Made(kind, names, data)
 
 
@@ -103,7 +104,7 @@ def _joined(texts: ReportTexts, made: Sequence[_Made]) -> PlayPart:
     kept, missing = list[_Made](), list[str]()
     for each in made:
         size = sum(len(other.data or "") for other in (*kept, each))
-        why = each.why or (texts("play.too_large", size=f"{size / 1e6:.1f}") if size > MAX_BYTES else "")
+        why = each.why or (texts("play.too_large", size=fixed(size / 1e6, 1)) if size > MAX_BYTES else "")
         if not why:
             kept.append(each)
         else:

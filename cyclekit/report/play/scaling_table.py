@@ -13,6 +13,7 @@ import numpy as np
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.cycle.transit import cells_of
 from cyclekit.report.play.packed import numbers_in_steps
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +48,7 @@ def scaling_table(
     code, states = cells_of(tracks)
     entries = sum(len(path) for path in paths) * len(states)
     if entries > MAX_ENTRIES:
-        raise EstimateError(f"a table of its scaling would have {entries / 1e6:.0f} million entries")
+        raise EstimateError(f"a table of its scaling would have {fixed(entries / 1e6, 0)} million entries")
     found: dict[str, list[NDArray[Any]]] = {"scaling": [], "support": [], "steps": [], "step_parts": []}
     first = 0
     for path in paths:

@@ -98,7 +98,9 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     facts["kind"] = "robot"
     facts["operator"] = operator
     facts["fewest"] = MIN_EXECUTIONS
-    facts["sequences"] = [{"name": each.name, "robot": list(each.places)} for each in shown]
+    facts["sequences"] = [
+        {"name": each.name, "robot": list(each.places), "allowance": each.allowance} for each in shown
+    ]
     facts["legs"] = _legs(legs, arrays, len(tracks.executions), [each.places for each in shown])
     facts["check"] = _corrected(check, dataset, tracks, legs, arrays, pooled=operator is None)
     return facts, arrays

@@ -173,7 +173,7 @@ def test_a_law_is_kept_as_data_and_written_as_a_person_would() -> None:
     card = TrainingCard(rule=RULE)
     assert checked(plain(card), TrainingCard) == card
     said = "\n".join(rule_lines(RULE))
-    for part in ("from 10 % to 100 %", "0.500 m (95 % CI 0.490 to 0.510) + 0.600 m", "speed 10 % nearer than 0.56"):
+    for part in ("from 10 % to 100 %", "0.500 m (95 % CI 0.490 to 0.510 m) + 0.600 m", "speed 10 % nearer than 0.56"):
         assert part in said
     assert "full speed from 1.250 m" in said
     assert "reaction time 0.200 s; rate of change up 10 %/s" in said

@@ -176,18 +176,24 @@ def in_words(texts: ReportTexts, found: TaktVerdict) -> str:
     return " ".join(part for part in (_today(texts, found), _found(texts, found)) if part)
 
 
+_TODAY = {
+    "": ("verdict.today", "verdict.today_single", "verdict.baseline"),
+    "at_pace": ("verdict.today_at_pace", "verdict.today_single_at_pace", "verdict.baseline_at_pace"),
+    "rolled": ("verdict.today_rolled", "verdict.today_single_rolled", "verdict.baseline_rolled"),
+}
+"""Texts of several executions, of one, and of a sequence that was named, by `TaktVerdict.apart`."""
+
+
 def _today(texts: ReportTexts, found: TaktVerdict) -> str:
     today = found.today
     if today is None:
         return ""
     mean = fixed(today.mean_s, found.decimals)
-    key = "verdict.today_single" if today.executions == 1 else "verdict.today"
+    several, single, named = _TODAY[found.apart]
+    key = named if today.sequence is not None else single if today.executions == 1 else several
     values = {"name": today.sequence, "executions": count(today.executions)}
-    how = found.apart
-    if how:
-        key = f"verdict.today{'_single' if today.executions == 1 else ''}_{how}"
+    if found.apart:
         values["logged"] = fixed(today.as_logged_s, found.decimals)
-    key = key if today.sequence is None else f"verdict.baseline{how and f'_{how}'}"
     said = texts(key, mean=mean, **values)
     return f"{said}{_within(texts, 'verdict.within_takt', today.within, found.takt_s)}."
 

@@ -116,7 +116,7 @@ def test_one_thing_is_not_many() -> None:
 
 
 ROOMS = ("report", "fleet", "plots", "cli", "estimate/gantt.py")
-FLOATS = re.compile(r"[+\- z]*,?\.?\d*[fge%]$")
+FLOATS = re.compile(r"[+\- z]*,?(\.\d+)?[fe%]$|\.\d+g$")
 
 
 def test_tables_pages_and_pictures_round_numbers_only_here() -> None:

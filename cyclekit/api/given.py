@@ -69,14 +69,14 @@ def trained_of(given: TrainedModel | Place) -> TrainedModel:
 def sequences_of(given: Sequences) -> list[TaskSequence]:
     """Return sequences, read from a file if a path is given."""
     if isinstance(given, str | Path):
-        return load_sequences(Path(given))
+        return load_sequences(given)
     return [given] if isinstance(given, TaskSequence) else list(given)
 
 
 def changes_of(given: Changes) -> list[Change]:
     """Return changes, read from a file if a path is given."""
     if isinstance(given, str | Path):
-        return load_changes(Path(given))
+        return load_changes(given)
     return [given] if isinstance(given, Change) else list(given)
 
 
@@ -89,7 +89,7 @@ def jobs_of(given: Jobs | TaskJobs | Place) -> Jobs:
     if isinstance(given, TaskJobs):
         seen = f"{given.shown}: tasks of both agents, and this model needs places to visit"
         raise ConfigError(seen, cure="Give Jobs, or train a model on task lists.")
-    return given if isinstance(given, Jobs) else load_jobs(Path(given))
+    return given if isinstance(given, Jobs) else load_jobs(given)
 
 
 def task_jobs_of(given: Jobs | TaskJobs | Place) -> TaskJobs:

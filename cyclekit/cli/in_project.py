@@ -1,7 +1,8 @@
 """Takes missing arguments of a command from the project file of the working directory (cyclekit.toml).
 
 Arguments on the command line take precedence. The model may be omitted before a `.toml` file: `cyclekit plan
-jobs.toml`. Optional arguments (a takt, the model of a report) are taken only if dataset or logs are taken, too.
+jobs.toml`; so may model and sequences before a file of changes: `cyclekit whatif changes.toml`. Optional arguments (a
+takt, the model of a report) are taken only if dataset or logs are taken, too.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ KINDS = {
 }
 """How the help calls the kinds of values."""
 PATHS: dict[str, dict[str, str]] = {
-    "ingest": {"logs": "logs", "out": "dataset", "cell": "cell"},
+    "ingest": {"logs": "logs", "out": "dataset", "cell": "cell", "align_clocks": "align_clocks"},
     "inspect": {"path": "made", "sequences": "sequences_there"},
     "trace": {"dataset": "dataset"},
     "levels": {"dataset": "dataset"},
@@ -68,7 +69,9 @@ class InProject(TyperCommand):
         typed, _, _ = self.make_parser(ctx).parse_args(list(args))
         found = _LeftOut(typed.get("logs") or ())
         if self.params[0].name == "model" and str(typed.get("model")).endswith(".toml"):
-            args = [str(found.value("model", "model")), *args]
+            alone = typed.get("sequences") is None and any(each.name == "changes" for each in self.params)
+            left_out = ["model", "sequences"] if alone else ["model"]
+            args = [*(str(found.value(name, name)) for name in left_out), *args]
         needed = {each.name for each in self.params if each.required}
         anchors = {"dataset", "logs", "path"} & needed
         ctx.default_map = {

@@ -10,6 +10,8 @@ from msgspec import Meta
 
 Role = Literal["robot", "people", "events", "tasks"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
+AlignClocks = Literal["coarse"]
+"""How clocks that nothing relates are aligned: `coarse` = by the robot's slow-downs, also in doubt."""
 Number = Annotated[float, Meta(ge=-1e15, le=1e15)]
 """Range of numbers in a cell file; excludes NaN and infinity."""
 Positive = Annotated[float, Meta(gt=0.0, le=1e15)]
@@ -78,7 +80,7 @@ class Source:
     adapter: str | None = None
     role: Role | None = None
     clock_offset_s: Number | None = None
-    clock_rate: Positive = 1.0
+    clock_rate: Annotated[float, Meta(ge=0.1, le=10.0)] = 1.0
     sync: Sync | None = None
     sync_events: Annotated[tuple[tuple[Number, Number], ...], Meta(examples=[[[1.5, 101.5]]])] = ()
     sees: Literal["tcp"] | None = None
@@ -101,7 +103,7 @@ class NamedPlace:
     """
 
     xyz_m: Point
-    radius_m: Positive = 0.05
+    radius_m: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.05
     label: Annotated[str | None, Meta(examples=["Left table, slot 2"])] = None
 
 
@@ -174,7 +176,7 @@ class Executions:
     """
 
     begin: Begin = "auto"
-    gap_s: Positive = 2.0
+    gap_s: Annotated[float, Meta(gt=0.0, le=86400.0)] = 2.0
     home: str | None = None
     bit: Annotated[int, Meta(ge=0, le=62)] = 0
     signal: str | None = None
@@ -230,6 +232,8 @@ class Cell:
         waits: Wait conditions, in addition to those found in the logs.
         known_words: Words of tasks and signals that name nobody, kept in a pseudonymised dataset.
         bridge_s: Maximum gap in the operator's track that is interpolated linearly, s; longer ones stay unknown.
+        goal_signals: Signals whose values name the place to which the operator goes next, as they are logged.
+        align_clocks: How clocks that nothing relates are aligned; None = only where the logs leave no doubt.
     """
 
     name: str = "cell"
@@ -243,8 +247,10 @@ class Cell:
     executions: Executions = field(default_factory=Executions)
     waits: tuple[Wait, ...] = ()
     rate_hz: Rate = 10.0
-    bridge_s: Number = 0.3
+    bridge_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.3
     levels: Levels = ()
     robot: Robot | None = None
     operator_signals: tuple[OperatorSignal, ...] = ()
     known_words: tuple[str, ...] = ()
+    goal_signals: tuple[str, ...] = ()
+    align_clocks: AlignClocks | None = None

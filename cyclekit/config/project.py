@@ -11,6 +11,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from cyclekit.config.cells import AlignClocks
 from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.config.write import toml_value
 from cyclekit.errors import ConfigError
@@ -30,6 +31,7 @@ class Project:
         logs: Files and folders of logs.
         name: Title of the report; empty: the name of the folder.
         cell: Cell file; None: the one in the folder of the logs.
+        align_clocks: As in the cell file, which it overrides.
         dataset: Folder of the dataset.
         model: Folder of the model.
         sequences: Sequence file to estimate.
@@ -44,6 +46,7 @@ class Project:
     logs: Annotated[tuple[_Text, ...], Meta(min_length=1, examples=[["logs"]])]
     name: str = ""
     cell: _Text | None = None
+    align_clocks: AlignClocks | None = None
     dataset: _Text = "dataset"
     model: _Text = "model"
     sequences: _Text = "sequences.toml"
@@ -80,7 +83,8 @@ def load_project(path: Path) -> Project:
         raise ConfigError(f"{file}: takt: {error}", cure='takt = "105s"') from error
     places = {key: from_folder(file.parent, getattr(told, key)) for key in _PLACES if getattr(told, key) is not None}
     name = told.name or resolved(file).parent.name
-    return replace(told, **places, name=name, logs=tuple(from_folder(file.parent, each) for each in told.logs))
+    logs = tuple(from_folder(file.parent, each) for each in told.logs)
+    return replace(told, **places, name=name, logs=logs)  # type: ignore[arg-type]  # the names are those of the fields
 
 
 _PLACES = ("cell", "dataset", "model", "sequences", "jobs", "estimates", "report", "template")
@@ -88,6 +92,7 @@ _SAID = {
     "logs": "files and folders of logs",
     "name": "title of the report; else the name of this folder",
     "cell": "what the logs do not contain; default: cell.toml in the folder of the logs, if it exists",
+    "align_clocks": "align a tracker's clock by the robot's slow-downs, also in doubt (docs/clocks.md)",
     "dataset": "made by ingest",
     "model": "made by train",
     "sequences": "the orders whose cycle time is estimated",
@@ -116,6 +121,7 @@ def project_to_toml(project: Project) -> str:
 _EXAMPLES = {
     "name": "cell 4",
     "cell": "cell.toml",
+    "align_clocks": "coarse",
     "jobs": "jobs.toml",
     "takt": "105s",
     "baseline": "left table first",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, to_dataclass
@@ -14,7 +15,6 @@ from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
 _EXAMPLE = """Add one:
   [[sequence]]
@@ -83,7 +83,7 @@ class TaskSequence:
         return tuple(f"{a}->{b}" for a, b in pairwise(self.places))
 
 
-def load_sequences(path: Path) -> list[TaskSequence]:
+def load_sequences(path: Path | str) -> list[TaskSequence]:
     """Read a sequence file: `[[sequence]]` with `name` and `places` (or `tasks`), optionally `operator`.
 
     A plan for robot and operator has `[[sequence.task]]` instead: `agent`, `name`, `not_before_s`, `after`.
@@ -101,7 +101,7 @@ def load_sequences(path: Path) -> list[TaskSequence]:
     if not entries and not set(raw) - {"sequence"}:
         raise ConfigError(f"{path}: no [[sequence]] in it", cure=_EXAMPLE)
     file = to_dataclass(str(path), raw, _File)
-    found = [_sequence(path, entry, i) for i, entry in enumerate(file.sequence)]
+    found = [_sequence(Path(path), entry, i) for i, entry in enumerate(file.sequence)]
     refuse_twice(str(path), "sequence", [sequence.name for sequence in found])
     return found
 

@@ -10,6 +10,7 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeGuard, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -22,20 +23,19 @@ from cyclekit.text.plain_text import all_in_one_line
 
 if TYPE_CHECKING:
     from dataclasses import Field
-    from pathlib import Path
 
 Table = TypeVar("Table")
 _PAGE = "docs/commands.md (of a fleet: docs/fleet.md) shows the keys and their values."
 
 
-def read_toml(path: Path) -> dict[str, object]:
+def read_toml(path: Path | str) -> dict[str, object]:
     """Return the values of a TOML file; line breaks and control characters in names are escaped.
 
     Raises:
         ConfigError: The file cannot be read or is not TOML.
     """
     try:
-        content = regular(path).read_bytes()
+        content = regular(Path(path)).read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})", cure="Check the path.") from error
     try:

@@ -157,7 +157,9 @@ def run_project(
     for stage in stages:
         if stage not in PROJECT_STAGES:
             raise UnknownName("run_project()", "stage", stage, PROJECT_STAGES)
-    cell = ProjectCell(told.name, told.logs, str(file.parent), told.cell, told.sequences, checksums=True, project=told)
+    cell = ProjectCell(
+        told.name, told.logs, str(file.parent), told.cell, told.sequences, align_clocks=told.align_clocks, project=told
+    )
     inputs = [*told.logs, file, told.cell, told.sequences, told.template]
     check_output(cell.ledger, "cell", inputs, option=f"{file}")
     page: Kind = "workbook" if told.report.endswith(".xlsx") else "page"

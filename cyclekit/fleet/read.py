@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
+from cyclekit.config.cells import AlignClocks
 from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, require_table, to_dataclass
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
@@ -40,6 +41,7 @@ class FleetCell:
         pseudonymise: Keep neither names nor times of day, nor the day of a log.
         checksums: Keep the BLAKE3 checksum of each log.
         follow_links: Follow links that lead out of a folder of logs.
+        align_clocks: As in the cell file, which it overrides.
         seed: Seed of training and split.
         epochs: Number of training epochs; None: chosen by the number of rows.
     """
@@ -52,6 +54,7 @@ class FleetCell:
     pseudonymise: bool = False
     checksums: bool = True
     follow_links: bool = False
+    align_clocks: AlignClocks | None = None
     seed: Annotated[int, Meta(ge=0)] = 0
     epochs: Annotated[int, Meta(ge=1)] | None = None
 

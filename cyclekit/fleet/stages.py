@@ -144,6 +144,7 @@ def _ingest(work: CellAtWork) -> tuple[State, str]:
         cell.dataset,
         cell=None if cell.cell_file is None else mirrored(cell.cell_file),
         pseudonymise=cell.pseudonymise,
+        align_clocks=cell.align_clocks,
         checksums=cell.checksums,
         follow_links=cell.follow_links,
         progress=work.tell,

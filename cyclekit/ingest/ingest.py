@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import polars as pl
 from msgspec import structs
 
 from cyclekit import schema
 from cyclekit.config import Cell
+from cyclekit.config.cells import AlignClocks
 from cyclekit.dataset.cards import (
     DatasetCard,
     note,
@@ -81,7 +82,7 @@ def ingest(
     pseudonymise: bool = False,
     keep_skeletons: bool = False,
     checksums: bool = True,
-    align_clocks: Literal["coarse"] | None = None,
+    align_clocks: AlignClocks | None = None,
     follow_links: bool = False,
     progress: Progress | None = None,
 ) -> IngestReport:
@@ -96,7 +97,8 @@ def ingest(
         pseudonymise: Store neither tracker names nor wall-clock time (docs/privacy.md).
         keep_skeletons: Store all joints of all persons, if a tracker has them; no estimate needs them.
         checksums: Store the BLAKE3 checksum of each log, which later shows whether a file is the one that was read.
-        align_clocks: "coarse": align unrelated clocks by the slow-downs, also in doubt (docs/clocks.md).
+        align_clocks: "coarse": align unrelated clocks by the slow-downs, also in doubt (docs/clocks.md); by default
+            that of the cell file.
         follow_links: Read targets of links that lead out of a folder of logs; otherwise they are listed in `not_read`.
         progress: Called with the fraction done and a description.
 
@@ -115,11 +117,13 @@ def ingest(
     settings = cell if isinstance(cell, Cell) else cell_for(roots, file)
     if rate_hz is not None:
         settings = replace(settings, rate_hz=_rate(rate_hz))
+    if align_clocks is not None:
+        settings = replace(settings, align_clocks=align_clocks)
     found, not_read = find_all(roots, settings, follow_links=follow_links)
     words = Words.of(settings)
     reading = ReadSettings(pseudonymise=pseudonymise, words=words, skeletons=keep_skeletons, checksums=checksums)
     logs_found = numbered_logs(found) if pseudonymise else found
-    wanted = _Wanted(settings, tuple(logs_found), tuple(not_read), engine, reading, align_clocks)
+    wanted = _Wanted(settings, tuple(logs_found), tuple(not_read), engine, reading)
     with published(out) as path:
         report = _ingest(roots, path, wanted, progress or (lambda fraction, text: None))
     return replace(report, place=str(out))
@@ -167,12 +171,11 @@ class _Wanted:
     not_read: tuple[tuple[str, str], ...]
     engine: Engine
     settings: ReadSettings
-    align_clocks: Literal["coarse"] | None = None
 
     @property
     def fingerprint(self) -> str:
         keys = [log.key for log in self.logs]
-        chosen = [value for name, value in vars(self.settings).items() if name != "words"] + [self.align_clocks]
+        chosen = [value for name, value in vars(self.settings).items() if name != "words"]
         facts = [repr(self.cell), version(), schema.SCHEMA_VERSION, keys, self.not_read, chosen]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
@@ -232,12 +235,12 @@ def _build(
     shared = split_shared(divided.groups, native, staging)
     groups, copies = shared.groups, {**divided.copies, **shared.copies}
     sources |= {name: sources[log] for name, log in copies.items()}
-    later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
+    later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), cell.align_clocks == "coarse"
     derived = derive(
         groups, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
     )
     warnings = [*divided.notes, *derived.warnings, *unpaired(groups)]
-    warnings += [*_unmatched(cell, wanted.logs), *_without_places(read)]
+    warnings += [*_unmatched(cell, wanted.logs), *_without_goals(cell, read, native), *_without_places(read)]
     by_id = {one.id: one for one in digests.settle(derived.recordings)}
     for name, log in copies.items():
         by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)
@@ -277,11 +280,11 @@ def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tup
     """
     tasks, bits = derived.tasks, partial(logged_bits, stored=stored)
     fields = [name for one in derived.operator_signals for name in (one.signal, one.reset) if name]
-    courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields)
+    courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields, cell.goal_signals)
     coupling = learn_executions(courses, tasks, cell.waits)
     if coupling is not None and coupling.coupled:
         tasks = derived.tasks_to_next
-        courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields)
+        courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields, cell.goal_signals)
         coupling = learn_executions(courses, tasks, cell.waits)
     return (tasks if coupling is None else with_waits_named(tasks, courses, coupling)), coupling
 
@@ -337,6 +340,13 @@ def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
         else note("source-without-log", path=path)
         for path in unused
     ]
+
+
+def _without_goals(cell: Cell, logs: Sequence[LogCard], read: Read) -> list[Note]:
+    """Return a note for each goal signal of the cell file that no log holds."""
+    events = [read(log.id, "events") for log in logs if cell.goal_signals and "events" in log.tables]
+    known = {name for one in events if one is not None for name in one["signal"].unique()}
+    return [note("goal-signal-unknown", signal=name) for name in cell.goal_signals if name not in known]
 
 
 def _copied(logs: Sequence[LogCard]) -> list[Note]:

@@ -14,7 +14,7 @@ import polars as pl
 from cyclekit.dataset.cards import note
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from cyclekit.dataset.cards import Note, TrainingCard
     from cyclekit.dataset.dataset import Dataset
@@ -79,8 +79,9 @@ def _known(dataset: Dataset) -> _Known:
     return _Known(*counts.row(0))
 
 
-def as_inputs(signals: Ints, count: int) -> Floats:
+def as_inputs(bits: ArrayLike, count: int) -> Floats:
     """Return bit fields (N,) of `count` signals as three numbers each, shape (N, 3)."""
+    signals = np.asarray(bits, np.int64)
     found = np.zeros((len(signals), _AXES))
     for k in range(count):
         found[:, k % _AXES] += ((signals >> k) & 1) * 2.0 ** (k // _AXES)

@@ -28,7 +28,7 @@ from cyclekit.scaling.levels import UNKNOWN, label_in_time, unbroken
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from cyclekit.schema import Bools, Floats, Ints, Singles
 
@@ -57,6 +57,31 @@ _MODEL_ERROR = 0.05
 def inputs_of(problem: str, *, past: bool) -> tuple[str, ...]:
     """Return the input columns of a problem; `past` adds those of `last_second.PAST`."""
     return INPUTS[problem] + (PAST if past else ())
+
+
+def input_rows(X: ArrayLike, names: Sequence[str]) -> Floats | Singles:
+    """Return inputs of a model as an array.
+
+    Args:
+        X: An array, lists, or a frame; the columns of a frame are taken by name, or by position if none has a known
+            name.
+        names: Names of the inputs.
+
+    Raises:
+        ShapeError: A frame lacks some of the inputs, or a value is no number.
+    """
+    columns: Sequence[str] = getattr(X, "columns", ())
+    if any(name in columns for name in names):
+        if missing := [name for name in names if name not in columns]:
+            msg = f"inputs without {', '.join(missing)}"
+            raise ShapeError(msg, cure=f"Give all of {', '.join(names)}.")
+        X = X[list(names)]  # type: ignore[call-overload,index]  # polars and pandas select columns by their names
+    try:
+        found = np.asarray(X)
+        return found if np.issubdtype(found.dtype, np.floating) else found.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        msg = f"inputs must be numbers in rows of {len(names)}: {error}"
+        raise ShapeError(msg) from error
 
 
 @dataclass(frozen=True)

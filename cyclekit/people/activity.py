@@ -1,7 +1,7 @@
 """Position x_h, task and goal of the operator at every sample of every execution.
 
-Tracks of a session are converted to its time and the base frame. Goals come from its events if there are any, otherwise
-from the standstills of the operator in all sessions. `tracks` samples a single track.
+Tracks of a session are converted to its time and the base frame. Goals come from the signals that the cell file names
+(`goal_signals`), otherwise from the standstills of the operator in all sessions. `tracks` samples a single track.
 """
 
 from __future__ import annotations
@@ -43,10 +43,6 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Floats, Ints, Points, Vector
 
     Read = Callable[[str, str], pl.DataFrame | None]
-
-GOAL_SIGNAL = "goal"
-"""Word in the name of a signal whose events are the operator's goals."""
-
 
 _HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
 HEIGHT_M = 1.5
@@ -141,7 +137,7 @@ class SessionPeople:
             read: Returns a native table of a recording (id, table), None if there is none.
             cell: Cell with bridged gap length and sample rate.
         """
-        self._logs, self._events = _operator_logs(session, sources, read)
+        self._logs, self._events = _operator_logs(session, sources, read, cell.goal_signals)
         self._tracks = [track for log in self._logs for track in log.tracks]
         self._counts = [np.zeros(len(REASONS), np.int64) for _ in self._logs]
         self._cell, self._nobody_logged = cell, session.nobody_logged
@@ -259,16 +255,16 @@ def person_tracks(
 
 
 def _operator_logs(
-    session: Session, sources: Mapping[str, Source | None], read: Read
+    session: Session, sources: Mapping[str, Source | None], read: Read, goal_signals: Sequence[str]
 ) -> tuple[list[_Log], tuple[Vector, list[str]]]:
     logs: list[_Log] = []
     times, values = [np.empty(0)], []
     for entry in session.recordings:
         if "people" in entry.tables:
             logs.append(_log(entry, read, sources[entry.id]))
-        said = read(entry.id, "events") if "events" in entry.tables else None
+        said = read(entry.id, "events") if goal_signals and "events" in entry.tables else None
         if said is not None:
-            said = said.filter(pl.col("signal").str.contains(GOAL_SIGNAL, literal=True)).sort("t_s")
+            said = said.filter(pl.col("signal").is_in(goal_signals)).sort("t_s")
             times.append(said["t_s"].to_numpy() * entry.clock.rate + entry.clock.offset_s)
             values += said["value"].to_list()
     t_event = np.concatenate(times)

@@ -22,6 +22,8 @@ def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bo
     lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
     if options.task_list:
         return "\n".join(lines) + "\n"
+    if options.people in ("tracker", "both"):
+        lines.append(f'goal_signals = ["{"/operator/goal" if options.logs == "mcap" else "operator_goal"}"]')
     lines += _bag_sources() if options.logs == "mcap" else _csv_sources(scene, options, events, inputs)
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]

@@ -109,6 +109,18 @@ def test_a_wrong_argument_is_named(call: object, said: str) -> None:
         call()  # type: ignore[operator]
 
 
+def test_files_are_read_from_a_text_as_from_a_path(tmp_path: Path) -> None:
+    jobs = 'start = "home"\nvisit = ["a", "b"]\n'
+    files = {"sequences": '[[sequence]]\nplaces = ["a", "b"]\n', "jobs": jobs, "changes": CHANGE}
+    for name, text in files.items():
+        file = tmp_path / f"{name}.toml"
+        file.write_text(text, encoding="utf-8")
+        load = getattr(library, f"load_{name}")
+        assert load(str(file)) == load(file)
+        with pytest.raises(CyclekitError, match="nowhere"):
+            load("nowhere.toml")
+
+
 def test_a_text_that_is_none_of_the_known_ones_shows_the_nearest() -> None:
     with pytest.raises(UnknownName, match="the nearest is 'plateau'"):
         library.find_levels("d", method="plateu")

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from cyclekit.api.gate import GateVerdict
 from cyclekit.config.project import Project, load_project, project_to_toml
 from cyclekit.config.sequences import load_sequences
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.answers import CycleEstimates
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.statistics.resample import least_wide
@@ -243,6 +244,25 @@ def test_without_a_project_an_argument_left_out_is_missing(
     typed = cyclekit("plan")  # the project names no jobs
     assert typed.code == 2
     assert "JOBS.toml" in typed.err
+
+
+def test_a_file_of_changes_finds_model_sequences_and_dataset_in_the_project(begun: Path, cyclekit: Shell) -> None:
+    Path("changes.toml").write_text('[[change]]\nname = "a"\nlatency_s = 1e9\n', encoding="utf-8")
+    Path("sequences.toml").write_text('[[sequence]]\nname = "x"\nplaces = ["home", "moon"]\n', encoding="utf-8")
+    for words in (("changes.toml",), ("sequences.toml", "changes.toml"), ("model", "sequences.toml", "changes.toml")):
+        typed = cyclekit("whatif", *words)
+        assert typed.code == 1
+        assert "latency_s 1000000000.0" in typed.err  # the changes were read, and are refused
+        assert ("sequences = sequences.toml" in typed.err) is (len(words) == 1)
+        assert ("model = model" in typed.err) is (len(words) < 3)
+
+
+def test_the_next_run_aligns_clocks_as_the_project_says(begun: Path, cyclekit: Shell) -> None:
+    file = begun / "cyclekit.toml"
+    file.write_text(re.sub(r"(?m)^# align_clocks", "align_clocks", file.read_text("utf-8")), "utf-8")
+    assert states(cyclekit("run", "--json"))["ingest"] == "done"
+    assert Dataset.open("dataset").card.settings.align_clocks == "coarse"
+    assert "up to date" in cyclekit("ingest").out
 
 
 def test_run_does_what_changed_and_nothing_else(begun: Path, sequences: Path, cyclekit: Shell) -> None:

@@ -245,10 +245,10 @@ POINT = st.tuples(NUMBER, NUMBER, NUMBER)
 YAW = st.floats(-math.pi, math.pi).map(
     lambda a: ((math.cos(a), -math.sin(a), 0.0), (math.sin(a), math.cos(a), 0.0), (0.0, 0.0, 1.0))
 )
-PLACES = st.dictionaries(TEXT, st.builds(NamedPlace, POINT, POSITIVE), max_size=3)
+PLACES = st.dictionaries(TEXT, st.builds(NamedPlace, POINT, st.floats(1e-6, 100)), max_size=3)
 INSTANT = st.datetimes(timezones=st.just(UTC)).map(lambda when: when.isoformat())
 CLOCK = st.one_of(
-    st.fixed_dictionaries({}, optional={"clock_offset_s": NUMBER, "clock_rate": POSITIVE}),
+    st.fixed_dictionaries({}, optional={"clock_offset_s": NUMBER, "clock_rate": st.floats(0.1, 10)}),
     st.fixed_dictionaries({"sync": st.builds(Sync, TEXT, TEXT)}),
     st.fixed_dictionaries({"sync_events": st.lists(st.tuples(NUMBER, NUMBER), min_size=1, max_size=3).map(tuple)}),
     st.fixed_dictionaries({"sees": st.just("tcp")}, optional={"sees_as": TEXT}),
@@ -285,7 +285,9 @@ CELL = st.builds(
     )
     | st.builds(Executions, begin=st.just("signal"), signal=TEXT.filter(bool)),
     rate_hz=POSITIVE,
-    bridge_s=NUMBER,
+    bridge_s=st.floats(0, 3600),
+    goal_signals=st.lists(TEXT, max_size=2).map(tuple),
+    align_clocks=st.sampled_from([None, "coarse"]),
     levels=st.just(()) | st.lists(st.floats(0, 1), min_size=2, max_size=5, unique=True).map(sorted).map(tuple),
 )
 

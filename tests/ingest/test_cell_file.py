@@ -15,6 +15,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError
 from cyclekit.ingest.discover import find_all
 from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.coupling.learn import courses_of_dataset
 
 
 def test_two_cell_files_beside_the_logs_are_one_too_many(three_runs: Path, tmp_path: Path, robot_log: Any):
@@ -41,6 +42,29 @@ def test_a_source_that_means_no_log_is_said_aloud(three_runs: Path, tmp_path: Pa
     assert [text for text in warnings if "matches no log" in text] == [
         "source 'trakcer/*.csv' of the cell file matches no log",
         "source 'empty/*' of the cell file matches no log",
+    ]
+
+
+def test_a_signal_is_the_operators_goal_only_if_the_cell_file_says_so(tmp_path: Path, robot_log: Any):
+    robot_log(tmp_path / "logs" / "robot.csv", [("stand", 1.0), *ROUND_TRIP, ("stand", 1.0)])
+    rows = [f"{10.0 + k},{row}" for k in range(6) for row in (f"goal_reached,{k % 2}", "next,a")]
+    (tmp_path / "logs" / "plc.csv").write_text("\n".join(["time,signal,value", *rows, ""]), encoding="utf-8")
+    names = {"delimiter": ",", "time": "time", "time_unit": "s", "signal": "signal", "value": "value"}
+    plc = Source("plc.csv", adapter="csv", role="events", clock_offset_s=0.0, map=names)
+
+    def made(*goal_signals: str) -> tuple[Dataset, tuple[str, ...]]:
+        report = ingest([tmp_path / "logs"], tmp_path / "d", cell=Cell(sources=(plc,), goal_signals=goal_signals))
+        return Dataset.open(report.dataset), report.warnings
+
+    dataset, _ = made()
+    assert dataset.samples()["human_task"].is_null().all()
+    (course,) = courses_of_dataset(dataset)
+    assert {"goal_reached", "next"} <= {event.place for event in course.events}
+    dataset, warnings = made("next", "nxet")
+    assert set(dataset.samples()["human_task"].drop_nulls()) == {"a"}
+    assert "next" not in {event.place for event in courses_of_dataset(dataset)[0].events}
+    assert [text for text in warnings if "goal_signals" in text] == [
+        "goal_signals of the cell file: no log holds a signal 'nxet'"
     ]
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import save
@@ -116,6 +117,21 @@ def test_the_step_of_a_regressor_is_the_level_nearest_to_its_value():
     made = model("regressor")
     nearest = np.abs(made.predict(rows(200))[:, None] - np.array(LEVELS)).argmin(axis=1)
     assert_array_equal(made.steps(rows(200)), nearest)
+
+
+def test_lists_and_frames_are_inputs_too():
+    made, X = model(), rows(20)
+    expected = made.predict(X)
+    assert_allclose(made.predict(X.tolist()), expected, atol=1e-6)
+    frame = pl.DataFrame(X, schema=list(made.inputs), orient="row")
+    for given in (frame, frame.select(reversed(made.inputs)), frame.to_pandas(), frame.with_columns(t_s=pl.lit(1.0))):
+        assert_array_equal(made.predict(given), expected)
+    assert_array_equal(made.steps(frame), made.steps(X))
+    assert_array_equal(made.probabilities(frame), made.probabilities(X))
+    with pytest.raises(ShapeError, match="inputs without human_x_m"):
+        made.predict(frame.drop("human_x_m"))
+    with pytest.raises(ShapeError, match="must be numbers"):
+        made.predict([["a"] * 6])
 
 
 def test_no_prediction_leaves_the_range_of_a_scaling():

@@ -139,6 +139,7 @@ ADVICE = dict.fromkeys(
 SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     TEXT: "{text}",
     READ: "{text}",
+    "goal-signal-unknown": "goal_signals of the cell file: no log holds a signal {signal!r}",
     "log-changed": "the log changed while it was read: is it still being written? ingest again when it is complete",
     "log-copied": (
         "{copies} log(s) are copies of others ({copy} of {of}): their executions count twice; remove the copies and "

@@ -8,7 +8,6 @@ import numpy as np
 
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges
 from cyclekit.derive.signals.signal_responses import flips_s_of, mirrors
-from cyclekit.people.activity import GOAL_SIGNAL
 
 if TYPE_CHECKING:
     from cyclekit.derive.signals.signal_evidence import SignalEvidence
@@ -21,13 +20,13 @@ PROGRAM = 0.97
 
 
 def not_set_by_robot(evidence: SignalEvidence) -> dict[str, SignalChanges]:
-    """Return the signals that are no outputs, mirror none, and do not name the operator's goal."""
+    """Return the signals that are no outputs and mirror none."""
     own = [name for name in evidence.signals if name == REGISTER or name.startswith(OUTPUT)]
     own_s = np.sort(np.concatenate([np.empty(0), *(flips_s_of(evidence.signals[name]) for name in own)]))
     return {
         name: changes
         for name, changes in evidence.signals.items()
-        if not (name in own or GOAL_SIGNAL in name or mirrors(flips_s_of(changes), own_s))
+        if not (name in own or mirrors(flips_s_of(changes), own_s))
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import compress, pairwise
+from itertools import compress, pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,6 +91,8 @@ def find_presence_signals(
     if len(levels) < 2 or not among:
         return PresenceSignals(FoundSignals(), [{}] * len(sessions))
     values = {mine.session: _values(mine, runs[mine.session], read, stored) for mine in sessions}
+    for mine, goal in product(values.values(), cell.goal_signals):
+        mine.pop(goal, None)
     restarted = {name for name, mine in values.items() if mine and _restarts(runs[name])}
     values |= {name: {} for name in restarted}
     if not (among := [mine for mine in among if mine.session not in restarted]):

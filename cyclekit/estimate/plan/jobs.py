@@ -183,7 +183,7 @@ def _ends_after(jobs: Jobs, name: str) -> bool:
     return jobs.end is None or last == jobs.end or f"{last}->{jobs.end}" not in jobs.unlogged
 
 
-def load_jobs(path: Path) -> Jobs:
+def load_jobs(path: Path | str) -> Jobs:
     """Read a jobs file.
 
     Raises:

@@ -154,7 +154,7 @@ class TaskOrderPlan(Result):
         return with_interval(saved_s, *self.saves_s[1:], places)
 
 
-def load_task_jobs(path: Path) -> TaskJobs:
+def load_task_jobs(path: Path | str) -> TaskJobs:
     """Read a jobs file for both agents.
 
     Raises:

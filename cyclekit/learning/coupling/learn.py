@@ -84,7 +84,8 @@ def courses_of_dataset(dataset: Dataset) -> list[ExecutionVisits]:
     """
     fields = [name for one in dataset.card.operator_signals for name in (one.signal, one.reset) if name]
     every = dataset.every_task()
-    return courses_of(dataset.card.executions, every, dataset.recordings, dataset.recorded, dataset.bits, fields)
+    goals, read, bits = dataset.card.settings.goal_signals, dataset.recorded, dataset.bits
+    return courses_of(dataset.card.executions, every, dataset.recordings, read, bits, fields, goals)
 
 
 def pace_before_and_after(older: Dataset, newer: Dataset) -> tuple[Vector, Vector] | None:

@@ -27,7 +27,7 @@ from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.tensors import NotAModel, check_layout, parse_weights, sizes_of, to_safetensors
 from cyclekit.learning.signal_inputs import as_inputs
-from cyclekit.learning.windows import GROUPS, inputs_of
+from cyclekit.learning.windows import GROUPS, input_rows, inputs_of
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import recover, staged
 from cyclekit.storage.identify import MODEL_CARD, instead_of
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import polars as pl
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from cyclekit.learning.networks.trees import Trees
     from cyclekit.learning.networks.weights import Weights
@@ -95,16 +95,16 @@ class TrainedModel(Result):
         )
 
     @one_thread()
-    def predict(self, X: NDArray[np.floating[Any]]) -> Floats:
+    def predict(self, X: ArrayLike) -> Floats:
         """Return the scaling with the least expected squared error.
 
         For a classifier this is the probability-weighted mean of the levels, not the most likely level.
 
         Args:
-            X: Inputs, metres (of `last_second.PAST`: s), base frame; columns as in `inputs`. Shape (N, F), with a
-                history (N, K, F), oldest sample first. All must be known except the groups in `weights.known`; if the
-                logs never showed an absent operator, `card.scaling_without_operator` is None. If only the operator's
-                height is unknown, that of the TCP is used.
+            X: Inputs, metres (of `last_second.PAST`: s), base frame; columns as in `inputs`, of a frame also by these
+                names. Shape (N, F), with a history (N, K, F), oldest sample first. All must be known except the groups
+                in `weights.known`; if the logs never showed an absent operator, `card.scaling_without_operator` is
+                None. If only the operator's height is unknown, that of the TCP is used.
 
         Returns:
             Shape (N,), in [0, 1].
@@ -117,7 +117,7 @@ class TrainedModel(Result):
         values = np.matmul(out, np.array(self.levels)) if is_classifier(self.network) else out[:, 0]
         return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
 
-    def predict_signals(self, robot_m: NDArray[np.floating[Any]], signals: Ints) -> Floats:
+    def predict_signals(self, robot_m: ArrayLike, signals: ArrayLike) -> Floats:
         """Return the scaling of a model on signals that detect people, shape (N,).
 
         Args:
@@ -126,7 +126,7 @@ class TrainedModel(Result):
         """
         return self.predict(np.column_stack([robot_m, as_inputs(signals, len(self.card.operator_signals))]))
 
-    def probabilities(self, X: NDArray[np.floating[Any]]) -> Floats:
+    def probabilities(self, X: ArrayLike) -> Floats:
         """Return the probability of every level, shape (N, P); rows sum to 1.
 
         Raises:
@@ -138,7 +138,7 @@ class TrainedModel(Result):
             raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --network classifier --out MODEL")
         return self._run(X).astype(np.float64)
 
-    def steps(self, X: NDArray[np.floating[Any]]) -> Ints:
+    def steps(self, X: ArrayLike) -> Ints:
         """Return the index of the most likely level (of a regressor: the level nearest to its value), shape (N,).
 
         Raises:
@@ -153,8 +153,9 @@ class TrainedModel(Result):
         levels = np.array(self.levels)
         return np.searchsorted((levels[1:] + levels[:-1]) / 2, self.predict(X)).astype(np.int64)
 
-    def _run(self, X: NDArray[np.floating[Any]]) -> Singles:
+    def _run(self, inputs: ArrayLike) -> Singles:
         """Return the last layer's output: (N, P) probabilities of a classifier, (N, 1) otherwise."""
+        X = input_rows(inputs, self.inputs)
         wanted = ("N", len(self.inputs)) if self.history[0] == 1 else ("N", self.history[0], len(self.inputs))
         if X.ndim != len(wanted) or X.shape[1:] != wanted[1:]:
             msg = f"inputs {X.shape} must be ({', '.join(map(str, wanted))}): {', '.join(self.inputs)}"

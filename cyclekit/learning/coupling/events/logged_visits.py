@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     Bits = Callable[[RecordingCard], Mapping[str, SignalChanges]]
     Logged = Mapping[str, Mapping[str, SignalChanges]]
 
-NOT_WAITED_FOR = ("goal",)
-"""Words in signal names that exclude a signal as a condition: these signals announce what the operator will do."""
 ANSWER_S, ANSWERS, RARE = 0.5, 0.9, 0.3
 """An input answers an output (a gripper reports that it is closed) if at least this share (second value) of its changes
 follow a change of the output within this time, s (first), and these times cover at most this share of the log
@@ -48,6 +46,7 @@ def courses_of(
     read: Read,
     bits: Bits,
     fields: Collection[str] = (),
+    goals: Collection[str] = (),
 ) -> list[ExecutionVisits]:
     """Return the complete executions in which both agents were seen; of logs without operators those of the robot.
 
@@ -61,12 +60,13 @@ def courses_of(
         read: Returns a native table of a recording (id, table), None if there is none.
         bits: Returns the inputs and outputs of a recording, in its own clock.
         fields: Signals that show people: their cost is safety loss, not a wait.
+        goals: Signals that name the operator's next place: nobody waits for them.
     """
     cards = {card.execution: card for card in executions if card.whole}
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
     people = "operator" in mine["agent"]
     sessions = {card.session for card in cards.values()}
-    by_session = {session: _signals(recordings, session, read) for session in sessions}
+    by_session = {session: _signals(recordings, session, read, goals) for session in sessions}
     logged = {one.id: bits(one) for one in recordings if one.session in sessions and one.rows.get("robot")}
     copied = copies(recordings, by_session, logged, (OUTPUT,) if people else (OUTPUT, INPUT))
     uncopied = {one: {key: at for key, at in some.items() if key[0] not in copied} for one, some in by_session.items()}
@@ -188,7 +188,9 @@ def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:
     return [PlaceVisit(place, arrived_s, left_s, task=task) for place, arrived_s, left_s, task in every]
 
 
-def _signals(recordings: Sequence[RecordingCard], session: str, read: Read) -> dict[tuple[str, str], Vector]:
+def _signals(
+    recordings: Sequence[RecordingCard], session: str, read: Read, goals: Collection[str]
+) -> dict[tuple[str, str], Vector]:
     """Return when each signal was `set` and `cleared`, session seconds; a signal without two states is only set."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:
@@ -198,7 +200,7 @@ def _signals(recordings: Sequence[RecordingCard], session: str, read: Read) -> d
         both = switches(record, read)
         for (signal,), rows in events.sort("t_s").group_by(["signal"], maintain_order=True):
             name, at = str(signal), rows["t_s"].to_numpy() * record.clock.rate + record.clock.offset_s
-            if any(word in name for word in NOT_WAITED_FOR):
+            if name in goals:
                 continue
             rises, falls = presses(at, both[name][1] if name in both else None)
             found |= {(name, "set"): at[rises], (name, "cleared"): at[falls]}

@@ -8,19 +8,22 @@ work and, for each condition, the event plus the lag of that condition.
 
 from __future__ import annotations
 
+from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
 
-from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Name, Seconds
+from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Lag, Name
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from cyclekit.schema import Ints, Vector
 
 Agent = Literal["robot", "operator"]
-Quantiles = Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=1001)]
+Quantiles = Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=1001)]
 """A distribution: its quantiles at evenly spaced levels from 0 to 1, s, ascending; one value = constant."""
 MAX_TRIPS = 400
 """Maximum number of logged trips in a card."""
@@ -88,6 +91,23 @@ class ConditionCard(Card, frozen=True, kw_only=True):
     signal: str | None = None
 
 
+def refuse_circles(needs: Mapping[tuple[str, ...], Iterable[tuple[str, ...]]]) -> None:
+    """Refuse conditions that need each other in a circle.
+
+    Args:
+        needs: What each needs first.
+
+    Raises:
+        ValueError: There is a circle.
+    """
+    try:
+        TopologicalSorter(needs).prepare()
+    except CycleError as error:
+        circle = " needs ".join(" ".join(name) for name in reversed(error.args[1]))
+        msg = f"conditions in a circle: {circle}"
+        raise ValueError(msg) from None
+
+
 class OwnWorkCard(Card, frozen=True, kw_only=True):
     """Own work of the operator at a place, where it depends on the place that he goes to next or came from.
 
@@ -121,9 +141,9 @@ class TripCard(Card, frozen=True, kw_only=True):
     places: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=4)]
     waiting: Fraction
     free: Fraction = 0.0
-    took_s: Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=MAX_TRIPS)]
-    late_s: Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=MAX_TRIPS)]
-    after_s: Seconds = 0.0
+    took_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=MAX_TRIPS)]
+    late_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=MAX_TRIPS)]
+    after_s: Lag = 0.0
     seen: Count = 0
 
 
@@ -332,6 +352,25 @@ class CouplingCard(Card, frozen=True, kw_only=True):
     errands: tuple[Name, ...] = ()
     pace: OperatorPaceCard | None = None
     common: CommonPaceCard | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse agents that wait for each other in a circle: no execution could go on.
+
+        Raises:
+            ValueError: They do.
+        """
+        refuse_circles(
+            {
+                (gate.agent, gate.at, gate.place): [
+                    (one.agent, at, one.place)
+                    for one in gate.conditions
+                    if (one.back, one.turns, one.needed) == (0, Turns(), 1.0)
+                    for at in (("approach", "leave") if one.event == "leaves" else ("approach",))
+                ]
+                + ([(gate.agent, "approach", gate.place)] if gate.at == "leave" else [])
+                for gate in self.gates
+            }
+        )
 
     @property
     def coupled(self) -> bool:

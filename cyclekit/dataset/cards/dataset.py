@@ -20,8 +20,10 @@ from cyclekit.dataset.cards.quantities import (
     Length,
     Name,
     Point,
+    Ramp,
     Scaling,
     Seconds,
+    SignedDelay,
     ascending,
 )
 from cyclekit.dataset.cards.read import checked
@@ -104,9 +106,9 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
         ramp_down_se_per_s, ramp_up_se_per_s: Standard errors of the rates.
     """
 
-    latency_s: Seconds | None = None
-    ramp_down_per_s: float | None = None
-    ramp_up_per_s: float | None = None
+    latency_s: SignedDelay | None = None
+    ramp_down_per_s: Ramp | None = None
+    ramp_up_per_s: Ramp | None = None
     hysteresis_m: Length | None = None
     changes: Count = 0
     spread_m: Length | None = None

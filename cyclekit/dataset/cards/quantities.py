@@ -15,6 +15,22 @@ Seconds = Annotated[float, Meta(ge=-1e19, le=1e19)]
 """A time or a difference of times, s; the limit allows nanoseconds that were read as seconds."""
 Duration = Annotated[float, Meta(ge=0.0, le=1e19)]
 """A duration, s."""
+WEEK_S = 604_800.0
+"""Longest lag or work of an agent, s, and LONGEST_DELAY_S of a safety function: limits of what can be, far beyond any
+cell, so that a damaged or forged number is refused where it is read. Half or twice of them changes no real card."""
+LONGEST_DELAY_S = 600.0
+SLOWEST_RAMP = 1e-4
+"""Slowest change of the scaling, 1/s, as `WEEK_S`: from stop to full speed in three hours."""
+Lag = Annotated[float, Meta(ge=-WEEK_S, le=WEEK_S)]
+"""A time from an event to what follows, s; negative = before it."""
+Work = Annotated[float, Meta(ge=0.0, le=WEEK_S)]
+"""A duration of a task or of work, s."""
+Delay = Annotated[float, Meta(ge=0.0, le=LONGEST_DELAY_S)]
+"""A reaction time of the safety function, s."""
+SignedDelay = Annotated[float, Meta(ge=-LONGEST_DELAY_S, le=LONGEST_DELAY_S)]
+"""The same as measured, s; negative if a clock is off."""
+Ramp = Annotated[float, Meta(ge=SLOWEST_RAMP, le=1e6)]
+"""A rate of change of the scaling, 1/s."""
 Metres = Annotated[float, Meta(ge=-1e15, le=1e15)]
 """A coordinate, m."""
 Length = Annotated[float, Meta(ge=0.0, le=1e15)]

@@ -12,15 +12,13 @@ from typing import Annotated
 
 from msgspec import Meta, field
 
-from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Metres, Point, Scaling, ascending
+from cyclekit.dataset.cards.quantities import Card, Count, Delay, Fraction, Metres, Point, Ramp, Scaling, ascending
 
 _TO = "distance (TCP to operator( on the floor)?|robot base to operator on the floor|nearest link to operator)"
 DistanceName = Annotated[str, Meta(pattern=f"^{_TO}$")]
 """Names of distances to the operator; `cyclekit.learning.rules.samples.distances` computes them."""
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 """An angle, rad."""
-Rate = Annotated[float, Meta(gt=0.0, le=1e6)]
-"""A rate of change of the scaling, 1/s."""
 
 
 class MetresCard(Card, frozen=True, kw_only=True):
@@ -79,7 +77,7 @@ class SignalCard(Card, frozen=True, kw_only=True):
 
     signal: str
     value: str
-    delay_s: Duration = 0.0
+    delay_s: Delay = 0.0
     robot: RectangleCard | None = None
 
 
@@ -131,9 +129,9 @@ class LawCard(Card, frozen=True, kw_only=True):
     linear: MetresCard
     square: MetresCard
     lowest: Scaling = 0.0
-    latency_s: Duration = 0.0
-    ramp_down_per_s: Rate | None = None
-    ramp_up_per_s: Rate | None = None
+    latency_s: Delay = 0.0
+    ramp_down_per_s: Ramp | None = None
+    ramp_up_per_s: Ramp | None = None
 
     def __post_init__(self) -> None:
         """Refuse a scaling that would fall with distance.
@@ -175,7 +173,7 @@ class RuleCard(Card, frozen=True, kw_only=True):
     levels: Annotated[tuple[Scaling, ...], Meta(min_length=2, max_length=64)]
     limits: Annotated[tuple[LimitCard, ...], Meta(max_length=64)] = ()
     law: LawCard | None = None
-    latency_s: Duration = 0.0
+    latency_s: Delay = 0.0
     explained: Fraction
     network: Fraction | None = None
     others: dict[str, Fraction] = field(default_factory=dict)

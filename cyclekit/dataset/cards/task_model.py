@@ -7,21 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from msgspec import Meta, field
 
+from cyclekit.dataset.cards.coupling import refuse_circles
 from cyclekit.dataset.cards.notes import Note
-from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Name, Seconds
+from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Lag, Name, Seconds, Work
 
 if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
 
-Rate = Annotated[float, Meta(gt=0.0, le=1e3)]
+Rate = Annotated[float, Meta(ge=1e-3, le=1e3)]
 """Work done per second, relative to the mean: 1 is about the mean, 0.5 half as fast."""
-Lag = Annotated[float, Meta(ge=-1e6, le=1e6)]
-"""Time from when a task may start to its start, s; slightly negative values come from rounding in the log."""
 Error = Annotated[float, Meta(ge=-1e3, le=1e3)]
 """A relative error."""
 FORMAT = "cyclekit-task-times"
 """Format name in the file."""
-Times = Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=1000)]
+Times = Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=1000)]
 """Times, s."""
 PAST = 10_000
 """Maximum number of repetitions stored per task; of more, an even selection."""
@@ -43,7 +42,7 @@ class NeedCard(Card, frozen=True, kw_only=True):
     agent: Name
     task: Name
     back: Annotated[int, Meta(ge=0, le=100)] = 0
-    after_s: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    after_s: Work = 0.0
     needed: Fraction = 1.0
     together: Annotated[int, Meta(ge=0, le=1000)] = 0
     held: Fraction = 1.0
@@ -113,8 +112,8 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
 
     agent: Name
     task: Name
-    usual_s: Duration
-    work_s: Annotated[tuple[Duration, ...], Meta(min_length=1, max_length=PAST)]
+    usual_s: Work
+    work_s: Annotated[tuple[Work, ...], Meta(min_length=1, max_length=PAST)]
     rates: dict[str, Rate]
     later: dict[str, Rate] = field(default_factory=dict)
     waiting: dict[str, Rate] = field(default_factory=dict)
@@ -207,8 +206,8 @@ class ClockErrorCard(Card, frozen=True, kw_only=True):
     """
 
     of: Name
-    least_s: Lag
-    most_s: Lag
+    least_s: Seconds
+    most_s: Seconds
 
     def said(self, agent: str) -> str:
         """Return it as a sentence."""
@@ -276,6 +275,29 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     at_once: Count = 0
     held_out: HeldOutCard | None = None
     warnings: tuple[Note, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse conditions on tasks that are not in the model, and tasks that wait for each other in a circle.
+
+        Raises:
+            ValueError: There are such conditions.
+        """
+        known = {(one.agent, one.task) for one in self.tasks}
+        for one in self.tasks:
+            named = [(need.agent, need.task) for need in one.needs]
+            named += [(one.joint.agent, one.joint.task)] if one.joint else []
+            for agent, task in named:
+                if (agent, task) not in known:
+                    msg = f"{one.agent}: {one.task} waits for {agent}: {task}, which is no task of the model"
+                    raise ValueError(msg)
+        refuse_circles(
+            {
+                (f"{one.agent}:", one.task): [
+                    (f"{need.agent}:", need.task) for need in one.needs if need.back == 0 and need.needed == 1.0
+                ]
+                for one in self.tasks
+            }
+        )
 
     @property
     def notices(self) -> tuple[str, ...]:

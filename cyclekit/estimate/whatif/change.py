@@ -53,6 +53,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.cells import Levels, Number, Point
 from cyclekit.config.toml_file import read_toml, require_list, to_dataclass
+from cyclekit.dataset.cards.quantities import LONGEST_DELAY_S, SLOWEST_RAMP
 from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -60,7 +61,10 @@ if TYPE_CHECKING:
 
 _DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
 FASTEST = 100
-"""Maximum of factors in `faster`, and of counts in `buffer` and `more_places`."""
+"""Maximum of factors in `faster` and `frequency`, whose minimum is 1 / FASTEST, and of counts in `buffer` and
+`more_places`."""
+FARTHEST_M = 1000.0
+"""Maximum of thresholds and hysteresis, m: beyond any hall, a limit of what can be."""
 _EXAMPLE = """Add one:
   [[change]]
   name = "fewer visits"
@@ -223,7 +227,7 @@ class Change:
                 self._refuse(
                     f"{len(self.levels)} levels and {len(self.thresholds_m)} thresholds", "Give one threshold fewer."
                 )
-            if list(self.thresholds_m) != sorted(self.thresholds_m):
+            if [*self.thresholds_m] != sorted(self.thresholds_m) or any(m > FARTHEST_M for m in self.thresholds_m):
                 self._refuse(f"thresholds_m {list(self.thresholds_m)}", "Give them ascending, in metres.")
             if strange := [zone.level for zone in self.zones if zone.level not in self.levels]:
                 self._refuse(f"a zone has level {strange[0]}, which is not among levels", _CURE)
@@ -231,11 +235,12 @@ class Change:
                 self._refuse("both levels and limits", "Write the whole function, or change the rule.")
         elif self.thresholds_m or self.zones:
             self._refuse("thresholds_m or zones without levels", _CURE)
-        if self.frequency is not None and not 0 < self.frequency < math.inf:
-            self._refuse(f"frequency {self.frequency}", "0.5 means half as many visits per hour as were logged.")
+        if self.frequency is not None and not 1 / FASTEST <= self.frequency <= FASTEST:
+            cure = "0.5 means half as many visits per hour as were logged; give 0.01 to 100."
+            self._refuse(f"frequency {self.frequency}", cure)
         self._refuse_dynamics()
-        if slow := [value for value in self.faster.values() if not 0 < value <= FASTEST]:
-            self._refuse(f"faster {slow[0]:g}", "1.2 means 1.2 times as fast; give more than 0.")
+        if slow := [value for value in self.faster.values() if not 1 / FASTEST <= value <= FASTEST]:
+            self._refuse(f"faster {slow[0]:g}", "1.2 means 1.2 times as fast; give 0.01 to 100.")
         for name, count in (*self.more_places.items(), *self.buffer.items()):
             if not 0 < count <= FASTEST:
                 self._refuse(f"{name}: {count}", "Give a whole number, 1 or more.")
@@ -244,16 +249,17 @@ class Change:
 
     def _refuse_dynamics(self) -> None:
         for name, value in self.dynamics.items():
-            if name.startswith("ramp_") and not value > 0:
-                self._refuse(f"{name} {value}", "Give more than 0 per second; inf means without a ramp.")
-            if not name.startswith("ramp_") and not 0 <= value < math.inf:
-                self._refuse(f"{name} {value}", "Give 0 or more.")
+            most = {"latency_s": LONGEST_DELAY_S, "hysteresis_m": FARTHEST_M}.get(name, math.inf)
+            least = SLOWEST_RAMP if name.startswith("ramp_") else 0.0
+            if not least <= value <= most:
+                cure = "inf means without a ramp." if name.startswith("ramp_") else ""
+                self._refuse(f"{name} {value}", f"Give {least:g} to {most:g}. {cure}".rstrip())
 
     def _refuse(self, seen: str, cure: str) -> None:
         raise ConfigError(f"change {self.name!r}: {seen}", cure=cure)
 
 
-def load_changes(path: Path) -> list[Change]:
+def load_changes(path: Path | str) -> list[Change]:
     """Read a file of changes.
 
     Raises:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.validation.several import several_found
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -54,7 +55,10 @@ def findings_of(
         support: Share of the cycle in logged positions; NaN if unknown.
         validated: Why there is no `check`; None if nobody expects one.
     """
-    found = [] if dataset is None else [*_clock(dataset, model), *_pose(dataset, model), *_people(model, executions)]
+    found = []
+    if dataset is not None:
+        found += [*_clock(dataset, model), *_pose(dataset, model), *_people(model, executions)]
+        found += [] if isinstance(model, OnStates) else several_found(dataset)
     if check is not None:
         found += check.findings
     elif validated is not None:

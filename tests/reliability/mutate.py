@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 Harm = "Callable[[bytes, random.Random], bytes]"
-_WORD = re.compile(rb"[\w.+-]+")
+WORD = re.compile(rb"[\w.+-]+")
 _MARKS = [b",", b";", b"\t", b" ", b"|"]
-_TOKENS = [
+TOKENS = [
     b"nan", b"inf", b"-inf", b"1e308", b"-1e309", b"9" * 400, b"0x1F", b"true", b"null", b"", b'"', b'""', b"'", b"\\",
     b"-", b"--1", b"1.2.3", b"1,5", b"\xff\xfe", b"\xef\xbb\xbf", b"\xe2\x80\xa8", b"\x1f", b"{}", b"[]", b"[[", b"}",
     b"18446744073709551616", b"-9223372036854775809", b"1e-400", b"2025-02-31", b"\xc0\x80", b"\r", b"\n", b"\0",
     b"-5", b"0", b"-0", b"1e300", b"9999999999999999999", "²".encode(), "٣".encode(), "½".encode(), b"Infinity",
-    b"-Infinity", b"NaN", b'"\\ud800"', b'"\\udfff\\ud800"', b"\\ud800", b"\xed\xa0\x80", b"1_000",
-    b" 7 ", b"+-5", b"1e19",
+    b"-Infinity", b"NaN", b'"\\ud800"', b'"\\udfff\\ud800"', b"\\ud800", b"\xed\xa0\x80", b"1_000", b"9" * 5000,
+    b" 7 ", b"+-5", b"1e19", b"t", b"source_row",
     b"9999-12-31T23:59:60Z", b"0000-00-00", b"&#xD800;", b"&amp;", b"<![CDATA[", b'{"$date": {"$numberLong": "x"}}',
 ]  # fmt: skip
 
@@ -177,16 +177,16 @@ def _cells_changed(data: bytes, chance: random.Random) -> bytes:
     mark, lines = max(_MARKS, key=data.count), _lines(data)
     for at in _some(lines, chance):
         cells = lines[at].split(mark)
-        cells[chance.randrange(len(cells))] = chance.choice(_TOKENS)
+        cells[chance.randrange(len(cells))] = chance.choice(TOKENS)
         lines[at] = mark.join(cells)
     return b"".join(lines)
 
 
 def _words_changed(data: bytes, chance: random.Random) -> bytes:
     """Put other numbers and words where one stands, whatever separates them."""
-    spans = [found.span() for found in _WORD.finditer(data)]
+    spans = [found.span() for found in WORD.finditer(data)]
     for begin, end in sorted(chance.choices(spans, k=chance.choice([1, 1, 2, 5])) if spans else [], reverse=True):
-        data = data[:begin] + chance.choice(_TOKENS) + data[end:]
+        data = data[:begin] + chance.choice(TOKENS) + data[end:]
     return data
 
 

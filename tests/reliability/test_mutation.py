@@ -15,7 +15,7 @@ import pytest
 from examples import at_most, drawn
 from hypothesis import given
 from hypothesis import strategies as st
-from reliability.mutate import mutants
+from reliability.mutate import TOKENS, WORD, mutants
 from reliability.own_logs import OwnLog, own_logs
 from reliability.reading import FOREIGN, LIMIT_S, PARTLY, READ, REFUSED, read_log
 
@@ -70,6 +70,19 @@ def test_any_bytes_anywhere_in_a_log_are_read_or_refused(logs: list[OwnLog], dat
     end = data.draw(st.integers(begin, len(whole)))
     harmed = whole[:begin] + data.draw(st.binary(max_size=40)) + whole[end:]
     result = read_harmed(log, file, harmed)
+    assert result.outcome != FOREIGN, result.why
+
+
+@at_most(100)
+@given(data=st.data())
+def test_any_word_of_a_log_may_be_any_nonsense(logs: list[OwnLog], data: st.DataObject):
+    """Headers state counts, rates and flags, so the first words are drawn as often as all others together."""
+    log = data.draw(st.sampled_from(logs))
+    file = data.draw(st.sampled_from(sorted(log.files)))
+    whole = log.files[file]
+    words = [found.span() for found in WORD.finditer(whole)]
+    begin, end = data.draw(st.sampled_from(words[:60]) | st.sampled_from(words))
+    result = read_harmed(log, file, whole[:begin] + data.draw(st.sampled_from(TOKENS)) + whole[end:])
     assert result.outcome != FOREIGN, result.why
 
 

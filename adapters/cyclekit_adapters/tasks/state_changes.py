@@ -15,7 +15,7 @@ from cyclekit.schema import EVENTS, conform, empty
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-_TIME = "\x1ft_s"
+_TIME, _SIGNAL, _VALUE = "\x1ft_s", "\x1fsignal", "\x1fvalue"  # names that no column of a log has
 _CELLS = 1 << 20
 """Number of cells that are looked at together: a table of any width takes time in proportion to its cells."""
 
@@ -43,8 +43,8 @@ class StateChanges:
         at_once = max(1, _CELLS // max(frame.height, 1))
         for first in range(0, len(names), at_once):
             some = frame.select(pl.col(time).alias(_TIME), "source_row", *names[first : first + at_once])
-            samples = some.unpivot(index=[_TIME, "source_row"], variable_name="signal", value_name="value")
-            found.append(self.changed(samples.rename({_TIME: "t_s"})))
+            samples = some.unpivot(index=[_TIME, "source_row"], variable_name=_SIGNAL, value_name=_VALUE)
+            found.append(self.changed(samples.rename({_TIME: "t_s", _SIGNAL: "signal", _VALUE: "value"})))
         return pl.concat(found).sort("source_row", maintain_order=True)
 
     def changed(self, samples: pl.DataFrame) -> pl.DataFrame:

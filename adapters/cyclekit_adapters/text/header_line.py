@@ -12,14 +12,19 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
-from cyclekit_adapters.text.text_layout import TextLayout, delimiter_of, fields_of, header_names, strict_fields_of
+from cyclekit_adapters.text.text_layout import (
+    MAX_COLUMNS,
+    TextLayout,
+    delimiter_of,
+    fields_of,
+    header_names,
+    strict_fields_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-MAX_COLUMNS = 100_000
-"""Maximum number of columns: no logger writes more, and reading a million would take gigabytes."""
 _COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _POINT = re.compile(r"[+-]?\d+\.\d+(?:[eE][+-]?\d+)?")
 _LOOKED_AT = 20  # rows
@@ -47,10 +52,11 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
     """
     if "\0" in line:
         raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or not a text file", cure="Check the copy.")
-    if line.count(delimiter) >= MAX_COLUMNS:
+    names = header_names(line, delimiter)
+    if len(names) > MAX_COLUMNS:
         cause = f"a header of more than {MAX_COLUMNS:,} columns: no logger writes that"
         raise DamagedLog(path, cause, cure="Check what the file is.")
-    return header_names(line, delimiter)
+    return names
 
 
 def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:

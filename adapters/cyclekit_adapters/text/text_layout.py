@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 
+MAX_COLUMNS = 100_000
+"""Maximum number of columns: no logger writes more, and reading a million would take gigabytes."""
+
+
 @dataclass(frozen=True)
 class TextLayout:
     r"""Format of the rows of one text log.
@@ -65,7 +69,10 @@ def unique(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def header_names(line: str, delimiter: str) -> tuple[str, ...]:
-    """Return the column names of a header line, without empty ones at its end."""
+    """Return the column names of a header line, without empty ones at its end; at most one more than MAX_COLUMNS."""
+    mark = None if delimiter == "\\s+" else delimiter
+    if len(line) > MAX_COLUMNS and len(found := line.split(mark, MAX_COLUMNS + 1)) > MAX_COLUMNS + 1:
+        return unique(found[:-1])
     cells = fields_of(line, delimiter)
     while cells and not cells[-1].strip():
         cells.pop()

@@ -288,6 +288,22 @@ def test_of_free_text_only_known_words_and_numbers_remain(
     dataset = Dataset.open(place)
     listed = next(one for entry in dataset.recordings if (one := dataset.recorded(entry.id, "task_list")) is not None)
     assert listed["task"].n_unique() == len(PEOPLE)  # what was two stays two
+    for kept in (
+        "done",
+        "failed",
+        "TRUE",
+        "false",
+        "On",
+        "off",
+        "ein",
+        "AUS",
+        "frei",
+        "belegt",
+        "open",
+        "closed",
+        "high",
+    ):
+        assert Words().hidden(kept) == kept
     assert all(re.match(r"(pick by|weld) ", task) for task in listed["task"])
 
 

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, nearest
 from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of
-from cyclekit_adapters.text.header_line import MAX_COLUMNS, has_decimal_comma
+from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
+from cyclekit_adapters.text.text_layout import MAX_COLUMNS
 from cyclekit_adapters.tracking.frame_clock import FRAME, MAX_HZ, TIME, FrameClock, positive
 from cyclekit_adapters.tracking.length_unit import METRES, unit_of
 

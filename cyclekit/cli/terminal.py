@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 PATIENCE_S = 2.0
 """Time to the first line of progress without a terminal, s; doubled for each further line."""
 
+FORESEEN = 0.1
+"""Minimum fraction of the work for which a remaining time is told: before, it rests on too little. Half of it tells it
+sooner and less surely, twice of it later."""
+
 MIN_TEXT = 12
 """Minimum width of a text column, characters."""
 
@@ -196,6 +200,31 @@ def _listed(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return bullet([", ".join(map(": ".join, zip(names, row, strict=True))) for row in rows])
 
 
+class _Forecast:
+    """Remaining time: at each report in proportion to what was spent until then; from there on it runs down.
+
+    The longer a step takes, the later the next report comes: in proportion to what is spent by now, the same fraction
+    would promise more and more time.
+    """
+
+    def __init__(self) -> None:
+        self.began_s, self.fraction, self.total_s = time.monotonic(), 0.0, 0.0
+
+    @property
+    def spent_s(self) -> float:
+        return time.monotonic() - self.began_s
+
+    def report(self, fraction: float) -> None:
+        if fraction > self.fraction:
+            self.fraction, self.total_s = fraction, self.spent_s / fraction
+
+    @property
+    def left(self) -> str:
+        """The remaining time as text; empty before a tenth is done, and once it is over."""
+        left_s = self.total_s - self.spent_s
+        return f"about {duration(left_s)} left" if self.fraction >= FORESEEN and left_s > 0.0 else ""
+
+
 class _Lines:
     """Progress as lines, for output that cannot be redrawn: after 2 s, 4 s, 8 s ..., so that a log stays short.
 
@@ -203,8 +232,8 @@ class _Lines:
     """
 
     def __init__(self, title: str) -> None:
-        self.title, self.began_s, self.next_s = title, time.monotonic(), PATIENCE_S
-        self.fraction, self.text = 0.0, ""
+        self.title, self.next_s, self.forecast = title, PATIENCE_S, _Forecast()
+        self.text = ""
         self.turn, self.done = threading.Lock(), threading.Event()
         self.watch = threading.Thread(target=self._watch, daemon=True)
 
@@ -217,7 +246,8 @@ class _Lines:
         self.watch.join()
 
     def __call__(self, fraction: float, text: str) -> None:
-        self.fraction, self.text = fraction, text
+        self.text = text
+        self.forecast.report(fraction)
         self._say()
 
     def _watch(self) -> None:
@@ -226,13 +256,12 @@ class _Lines:
 
     def _say(self) -> None:
         with self.turn:
-            spent_s, fraction = time.monotonic() - self.began_s, self.fraction
+            spent_s, fraction = self.forecast.spent_s, self.forecast.fraction
             if spent_s < self.next_s or fraction >= 1:
                 return
             self.next_s = spent_s * 2
             far = f"{percent(fraction)} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
-            shows_left = fraction >= 0.01  # below one percent, the remaining time is too uncertain
-            left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if shows_left else ""
+            left = f", {told}" if (told := self.forecast.left) else ""
             _print(f"{self.title}: {far}{left}  {one_line(self.text)}".rstrip(), err=True)
 
 
@@ -241,12 +270,19 @@ def _drawn(title: str) -> Iterator[Progress]:
     from rich.progress import (
         BarColumn,
         Progress,
+        ProgressColumn,
         TaskProgressColumn,
         TextColumn,
         TimeElapsedColumn,
-        TimeRemainingColumn,
     )
     from rich.table import Column
+    from rich.text import Text
+
+    forecast = _Forecast()
+
+    class Left(ProgressColumn):
+        def render(self, task: object) -> Text:
+            return Text(forecast.left)
 
     rest = Column(ratio=1, no_wrap=True, overflow="ellipsis")
     columns = (
@@ -255,16 +291,16 @@ def _drawn(title: str) -> Iterator[Progress]:
         TaskProgressColumn(),
         TextColumn("{task.fields[rate]}", markup=False),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        Left(),
         TextColumn("{task.fields[text]}", markup=False, table_column=rest),
     )
     console = Console(stderr=True, markup=False, highlight=False, emoji=False)
     with Progress(*columns, console=console, transient=True, expand=True) as bar:
         task = bar.add_task(title, total=None, text="", rate="")  # pulses until the work reports its progress
-        began_s = time.monotonic()
 
         def show(fraction: float, text: str) -> None:
-            spent_s = max(time.monotonic() - began_s, 1e-9)
+            forecast.report(fraction)
+            spent_s = max(forecast.spent_s, 1e-9)
             rate = f"{percent(fraction / spent_s)}/s" if fraction > 0 else ""
             if fraction > 0:
                 bar.update(task, total=1.0, completed=min(fraction, 1.0))

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cyclekit.dataset.sessions import LogGroup
+    from cyclekit.derive.work import Work
     from cyclekit.parallel.engine import Engine
-    from cyclekit.schema import Progress
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -32,32 +32,31 @@ def is_much(groups: Sequence[LogGroup]) -> bool:
 class Passes:
     """Runs functions over all sessions on the engine: results in order, progress reported."""
 
-    def __init__(self, engine: Engine, progress: Progress) -> None:
-        self.engine, self.progress = engine, progress
+    def __init__(self, engine: Engine, work: Work) -> None:
+        self.engine, self.work = engine, work
 
     def over(
-        self, function: Callable[[Item], Result], items: Sequence[Item], begin: float, end: float, what: str
+        self, function: Callable[[Item], Result], items: Sequence[Item], stage: str, what: str = ""
     ) -> list[Result]:
         """Call a function for each item alone; see `over_files`."""
         files = [[number] for number in range(len(items))]
-        return self.over_files(partial(_one, function), items, files, begin, end, what)
+        return self.over_files(partial(_one, function), items, files, stage, what)
 
     def over_files(
         self,
         function: Callable[[Sequence[Item]], Sequence[Result]],
         items: Sequence[Item],
         files: Sequence[Sequence[int]],
-        begin: float,
-        end: float,
-        what: str,
+        stage: str,
+        what: str = "",
     ) -> list[Result]:
-        """Call a function once per file with its items; report progress from `begin` to `end`."""
+        """Call a function once per file with its items; report how far a stage of the work is, as `what`."""
         found, count = [], 0
         for done in self.engine.map(function, [[items[number] for number in numbers] for numbers in files]):
             found.append((files[done.number], done.get()))
             count += len(files[done.number])
-            told = f"{what}, {count} of {len(items)} sessions"
-            self.progress(begin + (end - begin) * count / len(items), told)
+            if count < len(items) or stage != "motion":  # its end is told with what it found
+                self.work.at(stage, count / len(items), f"{what or stage}, {count} of {len(items)} sessions")
         return in_order(found)
 
 

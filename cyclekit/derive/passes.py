@@ -61,8 +61,9 @@ if TYPE_CHECKING:
     from cyclekit.derive.robot import RobotInSessions
     from cyclekit.derive.second_pass import SessionToSample
     from cyclekit.derive.signals.session_signals import PresenceSignals
+    from cyclekit.derive.work import Work
     from cyclekit.people.silence import Absence
-    from cyclekit.schema import Floats, Progress
+    from cyclekit.schema import Floats
     from cyclekit.segmentation.dwell import Dwell
     from cyclekit.segmentation.time_account import ExecutedTask
 
@@ -95,7 +96,7 @@ def derive(
     stored: Stored,
     cell: Cell,
     folder: Path,
-    progress: Progress,
+    work: Work,
     *,
     engine: Engine = LOCAL,
     coarse: bool = False,
@@ -109,7 +110,7 @@ def derive(
         stored: Opens the robot table of a recording (id, columns) for reading by row ranges.
         cell: Places, execution rule, rates.
         folder: Folder for the files of samples.
-        progress: Called with fraction and text.
+        work: Told how far it is.
         engine: Runs the passes over the sessions; `read` and `stored` must work in its workers.
         coarse: Align clocks that nothing else relates to the robot's by the slow-downs, also where they are not
             certain.
@@ -121,23 +122,25 @@ def derive(
         EstimateError: An execution is longer than plausible.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    passes = Passes(engine if is_much(groups) else LOCAL, progress)
+    passes = Passes(engine if is_much(groups) else LOCAL, work)
     first = partial(first_pass, sources=sources, read=read, stored=stored, cell=cell)
-    first_results = passes.over(first, groups, 0.0, 0.2, "motion")
+    work.begun(groups)
+    first_results = passes.over(first, groups, "motion")
+    work.found(groups, first_results)
     sessions = numbered(first_results)
-    robot = robot_of(first_results, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
+    robot = robot_of(first_results, sessions, cell, passes.engine, partial(work.at, "speed"))
     sessions = with_slow_down_clocks(passes, sessions, robot, sources, read, asked=coarse)
     to_sample, dwells = with_standstills(passes, sessions, robot)
     sample = partial(second_pass, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)
-    sampled = passes.over_files(partial(sample, dwells=dwells), to_sample, files, 0.6, 0.85, "samples")
+    sampled = passes.over_files(partial(sample, dwells=dwells), to_sample, files, "samples")
     if is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # free the memory for samples and scaling of many hours
     found = _find_in_all_sessions(sampled, files, to_sample, cell, folder, read, stored)
     if stops := _stops(to_sample, sampled, files, dwells, found, folder):
         robot = robot.with_stops(stops, {key: one for work in to_sample for key, one in work.standstills.items()})
         to_sample, dwells = with_standstills(passes, sessions, robot)
-        sampled = passes.over_files(partial(sample, dwells=dwells), to_sample, files, 0.6, 0.85, "samples again")
+        sampled = passes.over_files(partial(sample, dwells=dwells), to_sample, files, "samples", "samples again")
         found = _find_in_all_sessions(sampled, files, to_sample, cell, folder, read, stored, found.evidence)
     return _derived(passes, sampled, files, found, robot, cell, folder, sources, read)
 
@@ -248,7 +251,7 @@ def _derived(
         most_changes=most_changes,
         folder=folder,
     )
-    finished = passes.over_files(rest, last_inputs, files, 0.85, 1.0, "levels")
+    finished = passes.over_files(rest, last_inputs, files, "levels")
     response = presence.response(read_response([one.changes for one in finished]))
     if response.latency_s is None and response.changes and any(map(is_tracked, some)):
         response = replace(response, latency_s=reaction_time(some, levels, response, folder))

@@ -175,7 +175,7 @@ def with_standstills(
         )
         for session in sessions
     ]
-    standstills = passes.over(partial(_place_standstills, places=robot.places), works, 0.5, 0.6, "standstills")
+    standstills = passes.over(partial(_place_standstills, places=robot.places), works, "standstills")
     every = {key: standstill for mine in standstills for key, standstill in mine.items()}
     dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
     return [replace(work, standstills=mine) for work, mine in zip(works, standstills, strict=True)], dwells

@@ -86,7 +86,7 @@ def with_slow_down_clocks(
     ]
     if not left:
         return list(sessions)
-    evidence = passes.over(partial(_evidence, sources=sources, read=read), left, 0.5, 0.5, "clocks")
+    evidence = passes.over(partial(_evidence, sources=sources, read=read), left, "speed", "clocks")
     fits = {
         one.log.id: fit
         for one, seen, lag in zip(left, evidence, fit_lags(evidence), strict=True)

@@ -286,7 +286,8 @@ def listed_cycles(dataset: Dataset) -> dict[str, CycleEstimate]:
 def listed_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEstimate | None:
     """Return executions of task lists in one order as an estimate; None if their orders differ."""
     runs, kinds = logged_runs(dataset)
-    runs = [run for run in runs if run.name in set(names)]
+    asked = set(names)
+    runs = [run for run in runs if run.name in asked]
     if len({run.order for run in runs}) != 1:
         return None
     plan = [share for agent in runs[0].tasks for share in _listed(runs, agent, kinds[agent])]

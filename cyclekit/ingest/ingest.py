@@ -37,6 +37,7 @@ from cyclekit.dataset.shared_index import shared_rows
 from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.dataset.signals import logged_bits
 from cyclekit.derive.passes import Derived, derive
+from cyclekit.derive.work import Work
 from cyclekit.errors import ConfigError, DatasetError, EmptyLog, LogError
 from cyclekit.extras import version
 from cyclekit.ingest.card import card_of
@@ -208,6 +209,7 @@ def _build(
 ) -> tuple[DatasetCard, int]:
     """Build the dataset in `staging`, pseudonymised by `names`; return its card and number of reused recordings."""
     alike = old is not None and old.card.skeletons == wanted.settings.skeletons
+    work = Work(tell)
     result = read_all(
         wanted.logs,
         staging,
@@ -216,7 +218,7 @@ def _build(
         store=store,
         engine=wanted.engine,
         settings=wanted.settings,
-        tell=lambda f, text: tell(0.6 * f, text),
+        tell=work.read,
     )
     read = result.cards
     shown = {log.path: log.shown for log in wanted.logs}
@@ -236,9 +238,9 @@ def _build(
     shared = split_shared(divided.groups, native, staging)
     groups, copies = shared.groups, {**divided.copies, **shared.copies}
     sources |= {name: sources[log] for name, log in copies.items()}
-    later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), cell.align_clocks == "coarse"
+    coarse = cell.align_clocks == "coarse"
     derived = derive(
-        groups, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
+        groups, sources, native, stored, cell, staging / "samples", work, engine=wanted.engine, coarse=coarse
     )
     warnings = [*divided.notes, *derived.warnings, *unpaired(groups)]
     warnings += [*_unmatched(cell, wanted.logs), *_without_goals(cell, read, native), *_without_places(read)]
@@ -253,6 +255,7 @@ def _build(
         warnings = names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
     tasks, coupling = _with_waits(derived, native, stored, cell)
+    work.at("waits", 1.0, "waits")
     write_parquet(tasks, staging / TASKS)
     derived = replace(derived, tasks=tasks, recordings=recordings, warnings=[*warnings, *contradicted(coupling)])
     card = structs.replace(

@@ -58,6 +58,9 @@ OF_STAIRCASES = {
     "levels-disputed",
 }
 """Warnings on levels that do not apply to a continuous law."""
+NETWORK_SHARE, SIGNALS_SHARE = 0.8, 0.9
+"""Measured share of a training's time until the network is fitted, before the search for a rule: with positions, and
+with signals alone. Only the progress told rests on it: half of what is left makes the last stage seem half as long."""
 
 
 @one_thread()
@@ -86,6 +89,12 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
     dataset.require_positions()
     need_torch(spec)
     rules = rules and spec.problem == "now" and spec.target != "logged"
+    share = 1.0 if not rules else SIGNALS_SHARE if by_signals(dataset) else NETWORK_SHARE
+
+    def told(fraction: float, text: str) -> None:
+        if progress is not None:
+            progress(share * fraction, text)
+
     if rules and spec.kind.needs_levels and law_of(dataset, seed=spec.seed) is not None:
         spec = _without_levels(spec)
     if by_signals(dataset) and spec.features == "auto":  # without positions there is no distance
@@ -100,7 +109,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
             spec = _without_levels(spec)
             found = divided(dataset, spec, scratch.path)
         spec = replace(spec, target="commanded" if is_commanded(dataset, spec, found.staircase) else "logged")
-        fitted = _fit(spec)(spec, found.learn, found.check, found.levels, progress, known=found.known)
+        fitted = _fit(spec)(spec, found.learn, found.check, found.levels, told, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
         model = TrainedModel(*made, history=spec.history or (1, 1), past=spec.features == "past")
         signals = by_signals(dataset)
@@ -110,7 +119,9 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         card = structs.replace(card, coupling=learn_coupling(dataset))
     model = replace(model, card=card)
     stairs = found.staircase.is_staircase and len(model.levels) > 1
-    return with_rule(model, dataset, seed=spec.seed, stairs=stairs) if rules else model
+    model = with_rule(model, dataset, seed=spec.seed, stairs=stairs) if rules else model
+    told(1.0 / share, "done")
+    return model
 
 
 def _without_levels(spec: ModelSpec) -> ModelSpec:

@@ -180,7 +180,7 @@ def without_jumps(track: PersonTrack) -> tuple[list[PersonTrack], int]:
     rows = seen
     while len(rows) > 1 and (stray := _strays(track, rows)).any():
         rows = rows[~stray]
-    xyz, dropped = track.xyz_m, np.setdiff1d(seen, rows)
+    xyz, dropped = track.xyz_m, np.setdiff1d(seen, rows, assume_unique=True)
     if len(dropped):
         xyz = xyz.copy()
         xyz[dropped] = np.nan

@@ -78,10 +78,9 @@ def with_scaling(
     after_halt = scalings_after_stops(
         [part.scaling for n in left for part in sorted(parts[n], key=lambda part: part.first)]
     )
-    mine = [execution for execution in executions if execution.run in set(left)]
     with_people = (session for session in sessions if any("people" in one.tables for one in session.recordings))
-    watched = {number for session in with_people for number in session.runs}
-    mine = [execution for execution in mine if execution.run in watched]
+    watched = {number for session in with_people for number in session.runs}.intersection(left)
+    mine = [execution for execution in executions if execution.run in watched]
     standstills = place_standstills(done, mine, places)
     halts = halts_at_places(done, mine, standstills, after_halt)
     halted_rows = {n: [(one.first, one.first + len(one.scaling) - 1) for one in halts[n]] for n in left}

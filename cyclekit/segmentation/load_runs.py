@@ -14,7 +14,7 @@ from cyclekit.segmentation.motion import COLUMNS
 from cyclekit.segmentation.stored_run import StoredRun, runs_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from cyclekit.config import Cell
     from cyclekit.dataset.cards import RecordingCard
@@ -50,13 +50,19 @@ def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple
     gap_s = cell.executions.gap_s if cell.executions.begin != "file" else np.inf
     runs = runs_of(table, entry.clock.offset_s, gap_s=gap_s, more=more, states=states)
     ends = [(run.time_at(0), run.time_at(run.rows - 1)) for run in runs]
-    marks = [marked[(marked > first) & (marked <= last)] - LATE_S for first, last in ends]
+    within = [slice(*np.searchsorted(marked, span, side="right").tolist()) for span in ends]
+    marks = [marked[mine] - LATE_S for mine in within]
     changes = _changes(session, read, stored)
-    runs = [
-        replace(run, changes={name: t[(t >= first) & (t <= last)] for name, t in changes.items()})
-        for run, (first, last) in zip(runs, ends, strict=True)
-    ]
+    runs = [replace(run, changes=_during(changes, *span)) for run, span in zip(runs, ends, strict=True)]
     return runs, [run.row_at(mine) for run, mine in zip(runs, marks, strict=True)]
+
+
+def _during(changes: Mapping[str, Vector], first_s: float, last_s: float) -> dict[str, Vector]:
+    """Return the changes of each signal from `first_s` to `last_s`, inclusive."""
+    return {
+        name: t_s[np.searchsorted(t_s, first_s) : np.searchsorted(t_s, last_s, side="right")]
+        for name, t_s in changes.items()
+    }
 
 
 def _changes(session: Session, read: Read, stored: Stored) -> dict[str, Vector]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -190,32 +191,32 @@ def runs_of(
         offset_s: Session time of the log's time 0.
         gap_s: Maximum gap within a run; infinite = one run, unless the clock goes back.
         more: The same table with joint angles and slider, as far as known.
-        states: Parts in which the program does not play: first and last row of the table, and the state.
+        states: Parts in which the program does not play, in order: first and last row of the table, and the state.
     """
-    cuts, firsts, before, periods = [0], list[tuple[int, float]](), np.nan, []
+    cuts, groups, times, before, periods = [0], list[int](), list[float](), np.nan, []
     for begin, end in table.groups:
         t = table.column("t_s", begin, end)
         between = np.diff(t, prepend=before)
         cuts += (begin + np.flatnonzero((between > gap_s) | (between <= 0))).tolist()
-        firsts.append((begin, float(t[0])))
+        groups.append(begin)
+        times.append(float(t[0]))
         periods.append(np.median(between[1:]) if len(between) > 1 else np.nan)
         before = t[-1]
     known = [float(period) for period in periods if np.isfinite(period)]
     period_s = float(np.median(known)) if known else 0.1
     has_speed = table.unknown("tcp_speed_m_s") == 0
     logged = table.unknown("scaling") < table.rows
+    lasts = [last for _, last, _ in states]
     found = []
     for first, end in pairwise([*cuts, table.rows]):
         if end <= first:
             continue
-        inside = [(begin - first, t) for begin, t in firsts if first < begin < end]
+        inside = slice(bisect_right(groups, first), bisect_left(groups, end))
         start = float(table.column("t_s", first, first + 1)[0])
-        rows, times = zip((0, start), *inside, strict=True)
-        steps = (np.array(rows, np.int64), np.array(times) + offset_s)
+        steps = (np.array([first, *groups[inside]]) - first, np.array([start, *times[inside]]) + offset_s)
         halts = tuple(
             ProgramStop(max(a - first, 0), min(b, end - 1) - first, PAUSED if state == "paused" else STOPPED)
-            for a, b, state in states
-            if a < end and b >= first
+            for a, b, state in states[bisect_left(lasts, first) : bisect_left(states, (end,))]
         )
         found.append(StoredRun(table, first, end, offset_s, period_s, has_speed, logged, steps, more, halts))
     return found

@@ -146,7 +146,25 @@ def test_progress_is_few_lines_where_nothing_can_be_redrawn(
     lines = err.splitlines()
     assert out == ""
     assert 5 <= len(lines) <= 8  # after 2, 4, 8 ... 64 s of 100
-    assert lines[0].startswith("working: 2.0 % after 2.0 s, about 98 s left")
+    assert lines[0].startswith("working: 2.0 % after 2.0 s  log 3")  # too little to go by
+    assert "after 16 s, about 84 s left" in lines[3]
+
+
+def test_a_step_that_takes_long_promises_no_longer_time(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    with Terminal(json=False, quiet=False).progress("working") as progress:
+        now_s[0] = 10.0
+        progress(0.1, "read")  # 90 s are left
+        for now_s[0] in (40.0, 160.0):
+            progress(0.1, "")
+    assert [line.split(", ")[-1].strip() for line in capsys.readouterr().err.splitlines()] == [
+        "about 90 s left  read",
+        "about 60 s left",
+        f"working: {terminal.percent(0.1)} after 2 min 40 s",
+    ]
 
 
 def test_progress_in_a_terminal_shows_rate_and_time_left(

@@ -24,6 +24,8 @@ from cyclekit.storage import parquet_layout as table_layout
 from cyclekit.storage.parquet import StoredTable, TableWriter
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from simulated_cells import Cells
 
 
@@ -177,3 +179,23 @@ def test_the_median_is_numpys(values: list[float], unknown: bool):
     np.testing.assert_equal(median(some), np.median(some))
     many = np.resize(some, 501)
     np.testing.assert_equal(median(many), np.median(many))
+
+
+def test_pauses_of_many_runs_are_looked_through_once(tmp_path: Path) -> None:
+    class States(list[tuple[int, int, str]]):
+        looked = 0
+
+        def __iter__(self) -> Iterator[tuple[int, int, str]]:
+            for state in super().__iter__():
+                States.looked += 1
+                yield state
+
+    t_s = np.arange(800) * 0.1 + 10.0 * (np.arange(800) // 10)
+    pauses = States((10 * run + 8, 10 * run + 11, "paused") for run in range(79))  # over the gap, into the next run
+    runs = runs_of(stored(tmp_path, robot(t_s)), 0.0, gap_s=2.0, states=pauses)
+    assert States.looked <= 2 * len(pauses)
+    assert [[(halt.first, halt.last) for halt in run.halts] for run in runs] == [
+        [(8, 9)],
+        *[[(0, 1), (8, 9)]] * 78,
+        [(0, 1)],
+    ]

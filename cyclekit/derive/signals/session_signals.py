@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import compress, pairwise, product
+from itertools import accumulate, compress, pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -181,15 +181,20 @@ def _held_events(
     found: list[SignalChanges | None] = [None] * len(sessions)
     if len(two) != 2:
         return found
-    for k, mine in enumerate(sessions):
+    ends = accumulate((None if one is None else str(one.value[-1]) for one in states), _latest)
+    begins = (None if one is None else two[str(one.value[0]) == two[0]] for one in reversed(states))
+    later = reversed([*accumulate(begins, _latest)])
+    for k, (mine, before, after) in enumerate(zip(sessions, ends, later, strict=True)):
         if states[k] is not None or is_tracked(mine) or not any("events" in one.tables for one in mine.recordings):
             continue
-        before = next((str(one.value[-1]) for one in reversed(states[:k]) if one is not None), None)
-        after = next((two[str(one.value[0]) == two[0]] for one in states[k + 1 :] if one is not None), None)
         agreed = {before, after} - {None}
         if len(agreed) == 1:
             found[k] = SignalChanges(_ALWAYS_S, np.array([agreed.pop()]))
     return found
+
+
+def _latest(before: str | None, now: str | None) -> str | None:
+    return before if now is None else now
 
 
 def _switches(values: Mapping[str, SignalChanges], found: FoundSignals, begins_s: Vector) -> dict[str, TwoStateSignal]:
@@ -278,13 +283,13 @@ def _changes(
     session: SecondPassResult, chosen: Collection[str], runs: Sequence[Run], levels: Sequence[float]
 ) -> list[LevelChange]:
     """Return the changes of level in the chosen executions of a session, at the log's rate."""
-    return [
-        change
-        for card in session.cards
-        if card.execution in chosen
-        for run in runs
-        for change in _changes_during(run, card, levels)
-    ]
+    begins_s = np.minimum.accumulate(_begins(runs)[::-1])[::-1]  # ascending, also where a clock was set back a little
+    ends_s = np.maximum.accumulate([run.time_at(run.rows - 1) for run in runs])
+    cards = [card for card in session.cards if card.execution in chosen]
+    first = np.searchsorted(ends_s, [card.start_s for card in cards]).tolist()
+    after = np.searchsorted(begins_s, [card.end_s for card in cards], side="right").tolist()
+    spans = zip(cards, first, after, strict=True)
+    return [change for card, i, j in spans for run in runs[i:j] for change in _changes_during(run, card, levels)]
 
 
 def _changes_during(run: Run, card: ExecutionCard, levels: Sequence[float]) -> Iterator[LevelChange]:

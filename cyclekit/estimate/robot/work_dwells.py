@@ -145,7 +145,8 @@ def _grouped(dataset: Dataset) -> tuple[pl.DataFrame, list[Group]]:
     levels = list(zip(*(groups_of(one.places) for one in went), strict=True)) or [()]
     mine = max(levels, key=_repeated)
     groups = list(dict.fromkeys(mine))
-    number = {one.execution: groups.index(group) for one, group in zip(went, mine, strict=True)}
+    numbers = {group: number for number, group in enumerate(groups)}
+    number = {one.execution: numbers[group] for one, group in zip(went, mine, strict=True)}
     rows = rows.with_columns(group=pl.col("execution").replace_strict(number, default=None, return_dtype=pl.Int64))
     return rows.drop_nulls("group"), groups
 

@@ -90,7 +90,7 @@ def with_own_tracks(
     by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
     standstills = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
     own = [np.maximum(standstills[sequence.name][: len(sequence.tasks)], 1e-3) for sequence in sequences]
-    begins = [tracks.executions.index(sequence.name) for sequence in sequences]
+    begins = _own_tracks(sequences, tracks)
     later = np.arange(len(set(tracks.executions)), len(tracks.executions))
     which = np.append(np.arange(len(programs)), np.arange(len(later)) % len(programs))
     order = np.argsort(which, kind="stable")
@@ -103,6 +103,12 @@ def with_own_tracks(
     took_s[order] = simulated.duration_s
     parts = np.minimum(took_s, tracks.step_s * tracks.xyz_m.shape[1]) / free_s[which]
     return took_s[: len(programs)], parts[: len(programs)], parts[len(programs) :]
+
+
+def _own_tracks(sequences: Sequence[TaskSequence], tracks: OperatorTracks) -> list[int]:
+    """Return the index of the first track of each execution."""
+    first = {name: index for index, name in reversed([*enumerate(tracks.executions)])}
+    return [first[sequence.name] for sequence in sequences]
 
 
 def with_other_tracks(
@@ -122,7 +128,7 @@ def with_other_tracks(
     Returns:
         Durations; NaN for the own operator track and if not simulated; inf if the cycle does not end within the track.
     """
-    own = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
+    own = np.array(_own_tracks(sequences, tracks))
     dynamics = Dynamics.of(dataset.card.dynamics, model)
     if at_once(model, dynamics):
         legs = [lay_out(sequence, nominal, dataset).tasks for sequence in sequences]

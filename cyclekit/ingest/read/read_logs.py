@@ -54,7 +54,7 @@ def read_all(
     store: ResumeStore | None = None,
     engine: Engine = LOCAL,
     settings: ReadSettings | None = None,
-    tell: Callable[[float, str], None],
+    tell: Callable[[int, int, str, Sequence[LogCard]], None],
 ) -> ReadResult:
     """Read the logs into `staging/recordings`.
 
@@ -66,7 +66,7 @@ def read_all(
         store: Stores recordings as soon as they are read, for an ingest after a kill.
         engine: Runs the reading. Its workers must see the logs and `staging` under the same paths.
         settings: What to store of each log.
-        tell: Called with the fraction done and a description.
+        tell: Called with the bytes read, those of all logs to read, a description and the recordings read.
     """
     settings = settings or ReadSettings()
     damaged = old.damaged() if old else {}
@@ -95,12 +95,12 @@ def read_all(
     for outcome in engine.map(read, todo):
         log, result = outcome.item, outcome.get()
         done += log.size
-        tell(done / size, f"read {log.shown}")
         if isinstance(result, LogError):
             failures[log.id] = result
             shared_files.put(log.id, {})
             continue
         entries[log.id] = result.card
+        tell(done, size, f"read {log.shown}", [*entries.values()][kept:])
         shared_files.put(log.id, result.tables)
         if store is not None and not result.tables:
             store.put(result.card, log, staging)

@@ -99,7 +99,7 @@ def infer_overrides(
     noise = _noise(runs, left)
     found: dict[str, list[Reference]] = {motion.task: [] for motion in left}
     parts: list[tuple[_Motion, InferredScaling, int]] = []
-    asked = set(found)
+    asked, motions = set(found), len(left)
     for attempt in range(PATHS):
         tried = _references(runs, [motion for motion in left if motion.task in asked], set(alone), noise)
         tried = confirmed_by_limits(tried, [reference for mine in found.values() for reference in mine], noise)
@@ -107,7 +107,7 @@ def infer_overrides(
         results: dict[_Motion, InferredScaling | None] = {}
         for done in engine.map(partial(_matched, references=tried, noise=noise), todo):
             results |= zip(done.item.motions, done.get(), strict=True)
-            progress((attempt + len(results) / len(left)) / PATHS)
+            progress(1.0 - (len(left) - len(results)) / motions)
         parts += [(motion, part, attempt) for motion in left if (part := results.get(motion)) is not None]
         others = [motion for motion in left if results.get(motion) is None]
         asked = {motion.task for motion, _, which in parts if which == attempt}

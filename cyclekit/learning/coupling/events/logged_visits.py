@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -66,14 +67,18 @@ def courses_of(
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
     people = "operator" in mine["agent"]
     sessions = {card.session for card in cards.values()}
-    by_session = {session: _signals(recordings, session, read, goals) for session in sessions}
+    of_session: dict[str, list[RecordingCard]] = {session: [] for session in sessions}
+    for one in recordings:
+        if one.session in sessions:
+            of_session[one.session].append(one)
+    by_session = {session: _signals(some, read, goals) for session, some in of_session.items()}
     logged = {one.id: bits(one) for one in recordings if one.session in sessions and one.rows.get("robot")}
     copied = copies(recordings, by_session, logged, (OUTPUT,) if people else (OUTPUT, INPUT))
     uncopied = {one: {key: at for key, at in some.items() if key[0] not in copied} for one, some in by_session.items()}
     answers = _answers(list(logged.values()))
     by_session = without_repeats(uncopied)
-    inputs = without_repeats({session: _inputs(recordings, session, logged, answers) for session in sessions})
-    states = {} if people else {session: _states(recordings, session, logged) for session in sessions}
+    inputs = without_repeats({session: _inputs(some, logged, answers) for session, some in of_session.items()})
+    states = {} if people else {session: _states(some, logged) for session, some in of_session.items()}
     known = {name for some in (*inputs.values(), *by_session.values()) for name, state in some if state == "set"}
     ends_s = _until(executions)
     numbers = {card.execution: number for number, card in enumerate(executions)}
@@ -87,7 +92,7 @@ def courses_of(
             continue
         end_s = float(np.nanmax([card.end_s, *(s for one in operator for s in (one.arrived_s, one.left_s))]))
         every = inputs[card.session] | by_session[card.session]
-        changes = {key: at[(at >= card.start_s) & (at <= end_s)] for key, at in every.items()}
+        changes = {key: _within(at, card.start_s, end_s) for key, at in every.items()}
         if not people:
             every = {key: at for key, at in every.items() if key[0] not in fields}
             changes = {key: at for key, at in changes.items() if key in every}
@@ -95,7 +100,8 @@ def courses_of(
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
         until_s = ends_s[card.execution]
-        after = {} if people else {key: at[(at > end_s) & (at < until_s)] for key, at in every.items()}
+        until = {} if people else {key: at[: np.searchsorted(at, until_s)] for key, at in every.items()}
+        after = {key: at[np.searchsorted(at, end_s, side="right") :] for key, at in until.items()}
         later = {Event("signal", *key): at for key, at in after.items() if len(at)}
         events, number = events_of(visits) | events, numbers[card.execution]
         found.append(ExecutionVisits(card.execution, visits, events, card.session, number=number, later=later))
@@ -109,11 +115,18 @@ def courses_of(
 
 def _until(executions: Sequence[ExecutionCard]) -> dict[str, float]:
     """Return when the next execution of its session starts, by execution, s; inf after the last one."""
-    found = {}
+    starts_s: dict[str, list[float]] = {}
     for one in executions:
-        later = [other.start_s for other in executions if other.session == one.session and other.start_s > one.start_s]
-        found[one.execution] = min(later, default=np.inf)
-    return found
+        starts_s.setdefault(one.session, []).append(one.start_s)
+    ascending = {session: [*sorted(times), np.inf] for session, times in starts_s.items()}
+    return {
+        one.execution: ascending[one.session][bisect_right(ascending[one.session], one.start_s)] for one in executions
+    }
+
+
+def _within(at: Vector, first_s: float, last_s: float) -> Vector:
+    """Return the times from `first_s` to `last_s`, inclusive, of ascending ones."""
+    return at[np.searchsorted(at, first_s) : np.searchsorted(at, last_s, side="right")]
 
 
 def _with_states(
@@ -130,7 +143,7 @@ def _with_states(
     events = dict(course.events)
     for name in known:
         on, off = (every.get((name, state), np.empty(0)) for state in ("set", "cleared"))
-        last = [float(at[at < start_s].max(initial=-np.inf)) for at in (on, off)]
+        last = [float(np.append(-np.inf, at)[np.searchsorted(at, start_s)]) for at in (on, off)]
         if last[0] > last[1]:
             key = Event("signal", name, "set")
             events[key] = np.concatenate([[last[0]], events.get(key, np.empty(0))])
@@ -150,24 +163,15 @@ def _within_visits(
         logged: Changes in the session of each execution, by its name, also those that answer an output.
     """
     names = {key.place for course in courses for key in course.events if key.agent == "signal" and key.event == "set"}
-    places = {visit.place for course in courses for visit in course.visits["robot"]}
-    return {name for name in names if any(_is_within(courses, logged, name, place) for place in places)}
-
-
-def _is_within(
-    courses: Sequence[ExecutionVisits],
-    logged: Mapping[str, Mapping[tuple[str, str], Vector]],
-    name: str,
-    place: str,
-) -> bool:
-    within = []
+    within: dict[tuple[str, str], list[bool]] = {}
     for course in courses:
-        off, on = (logged[course.name].get((name, state), np.empty(0)) for state in ("cleared", "set"))
-        for visit in course.visits["robot"][1:-1]:
-            if visit.place == place:
-                cleared = off[(off >= visit.arrived_s) & (off <= visit.left_s)]
-                within.append(len(cleared) > 0 and bool(((on > cleared[0]) & (on <= visit.left_s)).any()))
-    return len(within) >= MIN_VISITS and float(np.mean(within)) >= WITHIN
+        for name in names:
+            off, on = (logged[course.name].get((name, state), np.empty(0)) for state in ("cleared", "set"))
+            for visit in course.visits["robot"][1:-1]:
+                cleared = off[np.searchsorted(off, visit.arrived_s) :][:1]
+                set_s = on[np.searchsorted(on, cleared[0], side="right") :][:1] if len(cleared) else cleared
+                within.setdefault((name, visit.place), []).append(bool((set_s <= visit.left_s).all() and len(set_s)))
+    return {name for (name, _), each in within.items() if len(each) >= MIN_VISITS and np.mean(each) >= WITHIN}
 
 
 def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:
@@ -189,12 +193,12 @@ def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:
 
 
 def _signals(
-    recordings: Sequence[RecordingCard], session: str, read: Read, goals: Collection[str]
+    recordings: Sequence[RecordingCard], read: Read, goals: Collection[str]
 ) -> dict[tuple[str, str], Vector]:
     """Return when each signal was `set` and `cleared`, session seconds; a signal without two states is only set."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:
-        events = read(record.id, "events") if record.session == session and record.rows.get("events") else None
+        events = read(record.id, "events") if record.rows.get("events") else None
         if events is None:
             continue
         both = switches(record, read)
@@ -280,14 +284,12 @@ def _edges(on: Bools) -> tuple[Bools, Bools]:
 
 
 def _inputs(
-    recordings: Sequence[RecordingCard], session: str, logged: Logged, answers: Collection[tuple[str, str]]
+    recordings: Sequence[RecordingCard], logged: Logged, answers: Collection[tuple[str, str]]
 ) -> dict[tuple[str, str], Vector]:
     """Return when each digital input was `set` and `cleared`, session seconds, without inputs that answer an output."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:
-        if record.session != session or not record.rows.get("robot"):
-            continue
-        for name, each in logged[record.id].items():
+        for name, each in logged.get(record.id, {}).items():
             for state, value in _STATES:
                 at = each.to(value) if name.startswith(INPUT) else np.empty(0)
                 if len(at) and (name, state) not in answers:
@@ -295,13 +297,11 @@ def _inputs(
     return found
 
 
-def _states(recordings: Sequence[RecordingCard], session: str, logged: Logged) -> dict[tuple[str, str], Vector]:
+def _states(recordings: Sequence[RecordingCard], logged: Logged) -> dict[tuple[str, str], Vector]:
     """Return when each digital input turned on and off, session seconds; one that is on at first turned on then."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:
-        if record.session != session or not record.rows.get("robot"):
-            continue
-        for name, each in logged[record.id].items():
+        for name, each in logged.get(record.id, {}).items():
             if name.startswith(INPUT):
                 edges_of = dict(zip(("set", "cleared"), _edges(each.value == "1"), strict=True))
                 for state, edges in edges_of.items():

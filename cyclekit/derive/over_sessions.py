@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cyclekit.dataset.sessions import LogGroup
-    from cyclekit.derive.work import Work
+    from cyclekit.derive.stage_progress import StageProgress
     from cyclekit.parallel.engine import Engine
 
 Item = TypeVar("Item")
@@ -32,7 +32,7 @@ def is_much(groups: Sequence[LogGroup]) -> bool:
 class Passes:
     """Runs functions over all sessions on the engine: results in order, progress reported."""
 
-    def __init__(self, engine: Engine, work: Work) -> None:
+    def __init__(self, engine: Engine, work: StageProgress) -> None:
         self.engine, self.work = engine, work
 
     def over(

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from cyclekit.derive.robot import RobotInSessions
     from cyclekit.derive.second_pass import SessionToSample
     from cyclekit.derive.signals.session_signals import PresenceSignals
-    from cyclekit.derive.work import Work
+    from cyclekit.derive.stage_progress import StageProgress
     from cyclekit.people.silence import Absence
     from cyclekit.schema import Floats
     from cyclekit.segmentation.dwell import Dwell
@@ -96,7 +96,7 @@ def derive(
     stored: Stored,
     cell: Cell,
     folder: Path,
-    work: Work,
+    work: StageProgress,
     *,
     engine: Engine = LOCAL,
     coarse: bool = False,

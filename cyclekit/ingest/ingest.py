@@ -37,7 +37,7 @@ from cyclekit.dataset.shared_index import shared_rows
 from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.dataset.signals import logged_bits
 from cyclekit.derive.passes import Derived, derive
-from cyclekit.derive.work import Work
+from cyclekit.derive.stage_progress import StageProgress
 from cyclekit.errors import ConfigError, DatasetError, EmptyLog, LogError
 from cyclekit.extras import version
 from cyclekit.ingest.card import card_of
@@ -209,7 +209,7 @@ def _build(
 ) -> tuple[DatasetCard, int]:
     """Build the dataset in `staging`, pseudonymised by `names`; return its card and number of reused recordings."""
     alike = old is not None and old.card.skeletons == wanted.settings.skeletons
-    work = Work(tell)
+    work = StageProgress(tell)
     result = read_all(
         wanted.logs,
         staging,

@@ -97,6 +97,8 @@ def find_presence_signals(
     values |= {name: {} for name in restarted}
     if not (among := [mine for mine in among if mine.session not in restarted]):
         return PresenceSignals(FoundSignals(), [{}] * len(sessions), len(restarted))
+    if not any(values.values()) and not cell.operator_signals:  # nothing to look for in the logs
+        return PresenceSignals(FoundSignals(), [{}] * len(sessions), len(restarted))
     _add_held([mine for mine in sessions if mine.session not in restarted], values, stored)
     evidence = _evidence(among, [values[mine.session] for mine in among], runs, levels, folder)
     found = find_signals(evidence, cell.operator_signals)

@@ -26,7 +26,7 @@ MS_PEOPLE = {"levels": 0.7, "waits": 1.0}
 """The same per standstill: of the search for signals that show people, and of the tracker's checks."""
 
 
-class Work:
+class StageProgress:
     """Tells how far an ingest is; the fraction told never goes back."""
 
     def __init__(self, tell: Progress) -> None:
@@ -80,4 +80,4 @@ def _robot_s(card: LogCard) -> float:
     return card.duration_s if card.rows.get("robot") else 0.0
 
 
-__all__ = ["Work"]
+__all__ = ["StageProgress"]

@@ -163,7 +163,7 @@ def test_a_step_that_takes_long_promises_no_longer_time(
     assert [line.split(", ")[-1].strip() for line in capsys.readouterr().err.splitlines()] == [
         "about 90 s left  read",
         "about 60 s left",
-        f"working: {terminal.percent(0.1)} after 2 min 40 s",
+        "working: 10 % after 2 min 40 s",
     ]
 
 

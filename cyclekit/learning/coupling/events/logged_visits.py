@@ -192,9 +192,7 @@ def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:
     return [PlaceVisit(place, arrived_s, left_s, task=task) for place, arrived_s, left_s, task in every]
 
 
-def _signals(
-    recordings: Sequence[RecordingCard], read: Read, goals: Collection[str]
-) -> dict[tuple[str, str], Vector]:
+def _signals(recordings: Sequence[RecordingCard], read: Read, goals: Collection[str]) -> dict[tuple[str, str], Vector]:
     """Return when each signal was `set` and `cleared`, session seconds; a signal without two states is only set."""
     found: dict[tuple[str, str], Vector] = {}
     for record in recordings:

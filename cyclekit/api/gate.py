@@ -1,8 +1,9 @@
-"""`gate_takt`: whether enough cycles are within the takt time, as one verdict."""
+"""`gate_takt`: whether enough cycles are within the takt time: passed, failed, or unknown."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
@@ -10,74 +11,126 @@ from cyclekit.api.given import Sequences, sequences_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.answers import CycleEstimates
+from cyclekit.estimate.finding import Finding, light_of
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.robot.safety import SafetyModel
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.text.results import Result
+
+SHARE, CONFIDENCE = 0.95, 0.95
+"""Defaults: required share of cycles within the takt, and confidence with which it is said to be reached or missed."""
+Answer = Literal["passed", "failed", "unknown"]
+EXIT_CODES: dict[Answer, int] = {"passed": 0, "failed": 1, "unknown": 2}
 
 
 @dataclass(frozen=True, repr=False)
 class GateVerdict(Result):
     """Whether enough cycles of each sequence are within the takt time; as a frame one row per sequence.
 
+    True if all are known to be (`passed`).
+
     Attributes:
         takt_s: The takt time, s.
-        confidence: Required share of cycles within the takt time.
-        sure: Whether the lower end of the 95 % interval must reach that share, too.
+        share: Required share of cycles within the takt time.
+        confidence: Confidence with which the share must be known to be reached, or to be missed.
         estimates: Estimates of the sequences that were judged.
     """
 
     takt_s: float
+    share: float
     confidence: float
-    sure: bool
     estimates: CycleEstimates
 
+    def __bool__(self) -> bool:
+        """Return whether it passed."""
+        return self.passed
+
     @property
-    def worst(self) -> CycleEstimate:
-        """The sequence with the smallest share of cycles within the takt time."""
-        return min(self.estimates, key=self._reached)
+    def answer(self) -> Answer:
+        """The verdict on all sequences: failed if one fails, passed if all pass, else unknown."""
+        each = [self.of(one) for one in self.estimates]
+        return "failed" if "failed" in each else "unknown" if "unknown" in each else "passed"
 
     @property
     def passed(self) -> bool:
-        """Whether every sequence has enough cycles within the takt time."""
-        return self._reached(self.worst) >= self.confidence
+        """Whether every sequence has enough cycles within the takt time, for certain."""
+        return self.answer == "passed"
 
-    def _reached(self, one: CycleEstimate) -> float:
-        share, low, _ = _share(one)
-        return low if self.sure else share
+    @property
+    def exit_code(self) -> int:
+        """0 if passed, 1 if failed, 2 if unknown."""
+        return EXIT_CODES[self.answer]
+
+    @property
+    def worst(self) -> CycleEstimate:
+        """The sequence that decides: the one with the smallest share among those with this answer."""
+        return min((one for one in self.estimates if self.of(one) == self.answer), key=lambda one: self._shares(one)[0])
+
+    def of(self, one: CycleEstimate) -> Answer:
+        """Return the verdict on one sequence.
+
+        It is unknown where a finding says that its number, or its interval, cannot be trusted; or where the share that
+        is asked for is within the interval at this confidence. A takt shorter than the robot's motion at full speed is
+        missed, whatever is unknown.
+        """
+        if one.estimator != "task times" and self.takt_s < one.nominal_s:
+            return "failed"
+        _, low, high = self._shares(one)
+        if any(finding.blocks for finding in one.findings) or low < self.share <= high:
+            return "unknown"
+        return "passed" if low >= self.share else "failed"
+
+    def why_unknown(self, one: CycleEstimate) -> tuple[str, ...]:
+        """Return why the verdict on a sequence is unknown, and what to do, one sentence each; empty if it is known."""
+        if self.of(one) != "unknown":
+            return ()
+        blocking = tuple(finding.shown for finding in one.findings if finding.blocks)
+        _, low, high = self._shares(one)
+        close = (
+            f"the share may be {low:.1%} to {high:.1%}, and {self.share:.1%} is between: "
+            f"log more executions than these {one.executions}, or ask for another share or confidence"
+        )
+        return (*blocking, *([close] if low < self.share <= high else []))
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is known about the basis of the numbers, the worst first."""
+        return self.estimates.findings
 
     def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
-        given = {"takt_s": self.takt_s, "confidence": self.confidence, "sure": self.sure}
-        return {"passed": self.passed, **given, "worst": self.worst.name, "sequences": self._frame_rows()}
+        given = {"takt_s": self.takt_s, "share": self.share, "confidence": self.confidence, "worst": self.worst.name}
+        verdict = {"answer": self.answer, "passed": self.passed, "why": list(self.why_unknown(self.worst))}
+        return {**verdict, **given, **light_of(self.findings), "sequences": self._frame_rows()}
+
+    def _shares(self, one: CycleEstimate) -> tuple[float, float, float]:
+        """Return the share within the takt, and the bounds that it exceeds and stays below at the confidence."""
+        if one.distribution is None:
+            return 0.0, 0.0, 1.0
+        return one.distribution.within(self.takt_s, 2.0 * self.confidence - 1.0)
 
     def _frame_rows(self) -> list[dict[str, object]]:
         rows = []
         for one in self.estimates:
-            share, low, high = _share(one)
-            found: dict[str, object] = {"sequence": one.name, "probability": share, "low": low, "high": high}
-            reached = {"passed": self._reached(one) >= self.confidence, "expected_s": one.expected_s}
-            rows.append(found | reached | {"executions": one.executions, "doubts": list(one.doubts)})
+            share, low, high = self._shares(one)
+            found: dict[str, object] = {"sequence": one.name, "answer": self.of(one), "share": share}
+            found |= {"at_least": low, "at_most": high, "expected_s": one.expected_s, "executions": one.executions}
+            rows.append(found | {"level": one.level, "why": list(self.why_unknown(one)), "doubts": list(one.doubts)})
         return rows
 
     def _lines(self) -> list[str]:
-        share, low, high = _share(self.worst)
-        least = f", the least of {len(self.estimates)} sequences" if len(self.estimates) > 1 else ""
-        asked = f"asked for {self.confidence:.1%}" + (" by the lower end" if self.sure else "")
-        return [
-            f"{'passed' if self.passed else 'failed'}: {share:.1%} (95% CI {low:.1%} to {high:.1%}) of the cycles of "
-            f"{self.worst.name!r} are within {self.takt_s:g} s{least}; {asked}"
-        ]
+        share, low, high = self._shares(self.worst)
+        least = f", which decides of {len(self.estimates)} sequences" if len(self.estimates) > 1 else ""
+        line = (
+            f"{self.answer}: {share:.1%} of the cycles of {self.worst.name!r} are within {self.takt_s:g} s{least}; "
+            f"with {self.confidence:.4g} confidence at least {low:.1%}, at most {high:.1%}; asked for {self.share:.1%}"
+        )
+        return [line, *self.why_unknown(self.worst)]
 
     @property
     def line(self) -> str:
         """The verdict in one line."""
         return self._lines()[0]
-
-
-def _share(one: CycleEstimate) -> tuple[float, float, float]:
-    """Return the share of cycles within the takt time, with a 95 % interval."""
-    return one.takt_probability or (0.0, 0.0, 1.0)
 
 
 @checked
@@ -87,8 +140,8 @@ def gate_takt(
     sequences: Sequences,
     takt_s: float,
     *,
-    confidence: float = 0.95,
-    sure: bool = False,
+    share: float | None = None,
+    confidence: float | None = None,
     sequence: str | None = None,
     seed: int = 0,
     extrapolate: bool = False,
@@ -103,22 +156,30 @@ def gate_takt(
         dataset: The logs.
         sequences: Sequences, or the sequence file.
         takt_s: Takt time, s.
-        confidence: Required share of cycles within it, in (0, 1).
-        sure: The lower end of the 95 % interval of that share must reach it, too.
+        share: Required share of cycles within it, in (0, 1); 0.95 if not given.
+        confidence: Confidence with which that share must be known to be reached, or to be missed, in [0.5, 1); 0.95 if
+            not given. At 0.5 the best estimate decides. Give it together with `share`.
         sequence: Judge only the sequence of this name.
         seed: Seed of the resampling.
         extrapolate: Answer even if most of the cycle is outside logged positions.
-        validate: Validate on logged executions, and correct the bias.
+        validate: Validate on logged executions, and correct the bias; without it the verdict is unknown.
         other_cell: Accept a model of another cell.
         progress: Called with the fraction done and a text.
 
     Raises:
-        ConfigError: The confidence is not between 0 and 1.
+        ConfigError: The share or the confidence is out of range, or the confidence is given without the share.
         UnknownName: There is no such sequence.
         EstimateError: A sequence cannot be answered from these logs.
     """
-    if not 0.0 < confidence < 1.0:
-        raise ConfigError(f"confidence = {confidence:g} is not between 0 and 1", cure="Give 0.95, say.")
+    if confidence is not None and share is None:
+        seen = f"confidence = {confidence:g} without share: confidence is no longer the share of cycles"
+        cure = "Give both: share, the share of cycles within the takt, and confidence, how sure that must be."
+        raise ConfigError(seen, cure=cure)
+    share, confidence = SHARE if share is None else share, CONFIDENCE if confidence is None else confidence
+    if not 0.0 < share < 1.0:
+        raise ConfigError(f"share = {share:g} is not between 0 and 1", cure="Give 0.95, say.")
+    if not 0.5 <= confidence < 1.0:
+        raise ConfigError(f"confidence = {confidence:g} is not in 0.5 to 1", cure="Give 0.95, say.")
     wanted = sequences_of(sequences)
     if sequence is not None:
         names = [one.name for one in wanted]
@@ -130,7 +191,7 @@ def gate_takt(
         other_cell=other_cell, progress=progress,
     ).require_all()  # fmt: skip
     for one in found:
-        if one.takt_probability is None:
+        if one.distribution is None:
             cure = "Log more executions: too few to estimate single cycles."
             raise EstimateError(f"{one.name}: the {one.estimator} estimate has no distribution of cycles", cure=cure)
-    return GateVerdict(takt_s, confidence, sure, found)
+    return GateVerdict(takt_s, share, confidence, found)

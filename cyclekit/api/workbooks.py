@@ -1,4 +1,4 @@
-"""The sheets of a workbook: answer, tasks, levels, provenance."""
+"""The sheets of a workbook: light, answer, tasks, levels, provenance."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from cyclekit.learning.networks.cell import fingerprint
 from cyclekit.learning.rules.words import sentences
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import CycleEstimates
+    from cyclekit.estimate.finding import Finding
     from cyclekit.estimate.plan.answer import OrderPlan
 
     Rows = list[list[object]]
@@ -47,6 +49,7 @@ def sheets_of_estimates(found: CycleEstimates, dataset: Dataset, model: object) 
     more: Rows = [[f"estimate of {one.name}", f"{one.estimator}: {one.why}"] for one in found]
     more += [["not answered", f"{one.name}: {one.error.seen}"] for one in found.refused]
     return {
+        "light": _light(found.findings),
         "answer": [heads, *answer],
         "tasks": _tasks(found, dataset),
         "levels": _levels(dataset, model),
@@ -58,10 +61,10 @@ def sheets_of_plan(found: OrderPlan, dataset: Dataset, model: object) -> Sheets:
     """Return the sheets of an order search, all times in seconds."""
     single = {name: value for name, value in found.to_dict().items() if not isinstance(value, list)}
     saved = dict(zip(("saves_s", "saves_low_s", "saves_high_s"), found.saves_s, strict=True))
-    listed: Rows = [[one.level, one.shown] for one in found.findings]
-    listed += [["note", text] for text in found.notes]
+    listed: Rows = [["note", text] for text in found.notes]
     listed += [["never logged", task] for task in found.unlogged]
     return {
+        "light": _light(found.findings),
         "answer": [
             ["what", "value"],
             ["order", ", ".join(found.order)],
@@ -81,6 +84,11 @@ def sheets_of_logs(dataset: Dataset) -> Sheets:
         "levels": _levels(dataset, None),
         "provenance": _provenance(dataset, None, []),
     }
+
+
+def _light(findings: Sequence[Finding]) -> Rows:
+    rows: Rows = [[one.level, one.code, one.text, one.cure] for one in findings]
+    return [["level", "about", "finding", "cure"], *rows]
 
 
 def _of_frame(frame: pl.DataFrame) -> Rows:

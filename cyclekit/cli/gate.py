@@ -1,4 +1,4 @@
-"""`cyclekit gate`: exits with 0 if enough cycles are within takt, else with 1."""
+"""`cyclekit gate`: exits with 0 if enough cycles are within takt, with 1 if not, with 2 if that is unknown."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from cyclekit.cli.options import (
     SequenceFile,
     seconds,
 )
-from cyclekit.cli.terminal import Terminal
+from cyclekit.cli.terminal import Terminal, bullet
 
-EXAMPLE = "cyclekit gate model sequences.toml --dataset dataset --takt 105s --confidence 0.95"
+EXAMPLE = "cyclekit gate model sequences.toml --dataset dataset --takt 105s --share 0.95"
 
 
 def gate(
@@ -28,10 +28,12 @@ def gate(
     sequences: SequenceFile,
     dataset: LoggedPlace,
     takt: Annotated[str, typer.Option(metavar="TIME", help="Takt time, such as 105s or 1min 45s.")],
-    confidence: Annotated[float, typer.Option(help="Share of the cycles that must be within the takt.")] = 0.95,
-    sure: Annotated[
-        bool, typer.Option("--sure", help="Also ask it of the lower end of the share's 95 % confidence interval.")
-    ] = False,
+    share: Annotated[
+        float | None, typer.Option(help="Share of the cycles that must be within the takt; default 0.95.")
+    ] = None,
+    confidence: Annotated[
+        float | None, typer.Option(help="How sure that must be, with --share; 0.5: best estimate; default 0.95.")
+    ] = None,
     sequence: Annotated[str | None, typer.Option(help="Judge this sequence alone.", metavar="NAME")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
     check: Checked = True,
@@ -42,21 +44,27 @@ def gate(
 ) -> int:
     """Judge whether enough cycles are within the takt.
 
-    For scripts and CI: exit code 0 if every sequence in the file passes, 1 if one fails, 2 if that is unknown.
+    For scripts and CI: exit code 0 if every sequence in the file passes, 1 if one fails, 2 if that is unknown: if the
+    basis of the number cannot be trusted, or the logs are too few to tell. It says why and what to do.
     """
     from cyclekit.api.gate import gate_takt
 
     terminal, takt_s = Terminal(json=json, quiet=quiet), seconds(takt)
-    if not 0 < confidence < 1:
-        raise typer.BadParameter(f"{confidence:g} is not between 0 and 1", param_hint="--confidence")
+    if confidence is not None and share is None:
+        msg = "--confidence is no longer the share of cycles: give --share too, and --confidence is how sure it must be"
+        raise typer.BadParameter(msg, param_hint="--confidence")
+    if share is not None and not 0 < share < 1:
+        raise typer.BadParameter(f"{share:g} is not between 0 and 1", param_hint="--share")
+    if confidence is not None and not 0.5 <= confidence < 1:
+        raise typer.BadParameter(f"{confidence:g} is not in 0.5 to 1", param_hint="--confidence")
     with terminal.progress("estimating") as progress:
         found = gate_takt(
             model,
             dataset,
             sequences,
             takt_s,
+            share=share,
             confidence=confidence,
-            sure=sure,
             sequence=sequence,
             seed=seed,
             validate=check,
@@ -65,5 +73,6 @@ def gate(
             progress=progress,
         )
     terminal.remark(light(found.estimates))
-    terminal.answer(found.to_dict(), found.line)
-    return 0 if found.passed else 1
+    why = bullet(found.why_unknown(found.worst))
+    terminal.answer(found.to_dict(), f"{bullet([found.line], mark='')}\n{why}".rstrip())
+    return found.exit_code

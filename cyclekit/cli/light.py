@@ -12,9 +12,6 @@ if TYPE_CHECKING:
     from cyclekit.estimate.finding import Finding
     from cyclekit.estimate.result import CycleEstimate
 
-MARKS = {"green": "", "amber": "*", "red": " RED"}
-"""Mark behind a number, by the level of its basis."""
-
 
 def light(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
     """Return the traffic light of several estimates: a finding that does not concern all names its sequences."""
@@ -46,4 +43,6 @@ def light_of_findings(findings: Sequence[Finding], of: dict[Finding, str] | None
 
 def marked(entry: CycleEstimate, number: str) -> str:
     """Return a number with the mark of its estimate's level."""
+    from cyclekit.estimate.finding import MARKS
+
     return f"{number}{MARKS[entry.level]}"

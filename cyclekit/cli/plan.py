@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.light import MARKS, light, light_of_findings
+from cyclekit.cli.light import light, light_of_findings
 from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal
 from cyclekit.text.numbers import counted, percent, seconds
@@ -93,7 +93,7 @@ def _orders(robot: str, operator: Sequence[str]) -> list[str]:
 
 
 def _text(found: OrderPlan) -> str:
-    from cyclekit.estimate.finding import worst
+    from cyclekit.estimate.finding import MARKS, worst
     from cyclekit.estimate.plan import some
 
     order = ", ".join(found.order)

@@ -150,10 +150,11 @@ class CycleEstimates(Answers[CycleEstimate]):
 
     def _rows(self) -> tuple[list[str], list[list[Any]]]:
         levels = sorted(self[0].quantiles_s) if self.answers else []
-        heads = [*_MEAN, *(f"q{level:g}_s" for level in levels), *SPLIT, "support", "tracks", "warnings"]
+        heads = [*_MEAN, "level", *(f"q{level:g}_s" for level in levels), *SPLIT, "support", "tracks", "warnings"]
         rows = [
             [
                 *(getattr(one, name) for name in _MEAN),
+                one.level,
                 *(one.quantiles_s[level] for level in levels),
                 *(getattr(one, name) for name in SPLIT),
                 *(one.support, one.tracks, " | ".join(one.warnings)),

@@ -14,7 +14,8 @@ from cyclekit.estimate.logged_both import logged_of_both, logged_plan
 from cyclekit.estimate.operator.latest_pace import at_latest_pace, logged_pace, share_of_pace
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, SPLIT, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.statistics.bias import half_width_95
-from cyclekit.estimate.statistics.resample import TOGETHER, Z95, resampled, wilson
+from cyclekit.estimate.statistics.distribution import CycleDistribution, wilson
+from cyclekit.estimate.statistics.resample import TOGETHER, Z95, resampled
 from cyclekit.estimate.statistics.same_work import plan_goals, work_of
 from cyclekit.learning.task_times.runs import logged_runs
 
@@ -189,7 +190,7 @@ def _does(order: tuple[str, ...], work: Work) -> bool:
 
 
 def _estimated(named: CycleEstimate, takt_s: float | None) -> Baseline:
-    within = named.takt_probability if named.takt_s == takt_s else None
+    within = None if takt_s is None else named.within(takt_s)
     interval = named.expected_low_s, named.expected_high_s
     return Baseline(0, named.expected_s, *interval, None, within, named.places, sequence=named.name)
 
@@ -235,9 +236,9 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str, *, both: bo
     begins_s = [float(rows["start_s"][0]) for rows in each]
     ends_s = np.array([rows["end_s"].to_numpy() - begin_s for rows, begin_s in zip(each, begins_s, strict=True)])
     single = len(each) > 1
-    band = (
-        np.quantile(ends_s, (LEVELS[0], LEVELS[-1]), axis=0).T.tolist() if single else [[None, None]] * ends_s.shape[1]
-    )
+    band: list[list[float | None]] = [[None, None]] * ends_s.shape[1]
+    if single:
+        band = np.quantile(ends_s, (LEVELS[0], LEVELS[-1]), axis=0, method="weibull").T.tolist()
     begun_s = np.concatenate([np.zeros((len(each), 1)), ends_s[:, :-1]], axis=1)
     parts_s = np.stack([_parts_s(rows) for rows in each]).mean(axis=0)
     took_s = (ends_s - begun_s).mean(axis=0)
@@ -251,10 +252,10 @@ def logged_cycle(dataset: Dataset, names: Sequence[str], title: str, *, both: bo
     cycles_s = np.array([durations[name].duration_s for name in names]) if plan else ends_s[:, -1]
     split = dict(zip(SPLIT, parts_s.sum(axis=0).tolist(), strict=True))
     low_s, high_s = _interval(names, cycles_s)
-    quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if single else {}
+    logged = CycleDistribution(cycles_s, executions=len(each)) if single else None
     places = next(tuple(one.places) for one in dataset.card.executions if one.execution == names[0])
     return CycleEstimate(
-        title, places, float(cycles_s.mean()), low_s, high_s, quantiles, **split,
+        title, places, float(cycles_s.mean()), low_s, high_s, logged, **split,
         support=1.0, tracks=len(each), limits=(), tasks=shares, safety_by_activity_s={},
         durations_s=tuple(cycles_s.tolist()), estimator="logged", why="logged executions", executions=len(each),
         operator_at={} if plan else _operator_at(dataset, names, begins_s, float(cycles_s.mean())),
@@ -295,9 +296,9 @@ def listed_cycle(dataset: Dataset, names: Sequence[str], title: str) -> CycleEst
     work_s, wait_s = sum(share.end_s - share.start_s for share in robot), sum(share.wait_s for share in robot)
     cycles_s = np.array([run.duration_s for run in runs])
     mean_s, (low_s, high_s) = float(cycles_s.mean()), _interval(tuple(run.name for run in runs), cycles_s)
-    quantiles = {level: float(np.quantile(cycles_s, level)) for level in LEVELS} if len(runs) > 1 else {}
+    logged = CycleDistribution(cycles_s, executions=len(runs)) if len(runs) > 1 else None
     return CycleEstimate(
-        title, (), mean_s, low_s, high_s, quantiles, work_s, 0.0, 0.0, wait_s,
+        title, (), mean_s, low_s, high_s, logged, work_s, 0.0, 0.0, wait_s,
         support=1.0, tracks=0, limits=(), tasks=(), safety_by_activity_s={}, durations_s=tuple(cycles_s.tolist()),
         estimator="logged", why="logged executions", executions=len(runs),
         plan=tuple(sorted(plan, key=lambda share: share.start_s)),
@@ -312,7 +313,7 @@ def _listed(runs: Sequence[Run], agent: str, kind: str) -> list[PlannedShare]:
     waits_s = np.maximum(wait_s, 0.0).mean(axis=0).tolist()
     band: list[list[float | None]] = [[None, None]] * len(end_s)
     if len(runs) > 1:
-        band = np.quantile(times_s[:, :, 1], (LEVELS[0], LEVELS[-1]), axis=0).T.tolist()
+        band = np.quantile(times_s[:, :, 1], (LEVELS[0], LEVELS[-1]), axis=0, method="weibull").T.tolist()
     tasks = [done.task for done in runs[0].tasks[agent]]
     return [
         PlannedShare(agent, kind, task, begin, end, wait, {}, low, high)

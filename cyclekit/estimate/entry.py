@@ -11,7 +11,8 @@ from cyclekit.estimate.cycle.estimators import ESTIMATORS
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, CycleEstimate, TaskShare
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.soundness import MIN_SUPPORT
-from cyclekit.estimate.statistics.resample import least_wide, share_within
+from cyclekit.estimate.statistics.distribution import CycleDistribution
+from cyclekit.estimate.statistics.resample import drawn_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.validation.history import Combined
     from cyclekit.estimate.validation.means import Means
     from cyclekit.estimate.validation.question import Question
-    from cyclekit.schema import Floats, Vector
+    from cyclekit.schema import Floats
 
 TOLD = 0.005
 """Minimum weight of logged task durations that the text mentions."""
@@ -60,14 +61,21 @@ def entry_of(
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = len(set(tracks.executions if tracks else ask.dataset.executions["execution"]))
-    within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias)
+    single = CycleDistribution(
+        check.single(durations) if check else durations,
+        weights,
+        drawn_errors(means.error, means.judged, ask.seed, count=len(weights)),
+        bias,
+        executions=logged,
+    )
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,
         expected_s=expected,
         expected_low_s=low,
         expected_high_s=high,
-        quantiles_s={p: check.quantile(durations, p) if check else _quantile(durations, p) for p in ask.quantiles},
+        distribution=single,
+        levels=ask.quantiles,
         nominal_s=sum(share.nominal_s for share in shares),
         safety_loss_s=sum(share.safety_loss_s for share in shares),
         dwell_s=sum(share.dwell_s for share in shares),
@@ -83,7 +91,6 @@ def entry_of(
         executions=logged,
         calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,
-        takt_probability=within and least_wide(within, logged),
         extrapolated=cycles.support < MIN_SUPPORT,
         operator=sequence.operator,
         check=check,
@@ -113,13 +120,9 @@ def _ends(ask: Question, program: Program, cycles: Rolled) -> list[tuple[float, 
     motion = np.array([task.nominal_s for task in program.tasks])
     ends = np.cumsum(motion + cycles.safety_s + cycles.standstill_s, axis=1)
     ends *= (cycles.duration_s / ends[:, -1])[:, None]
-    quantile = ask.check.quantile if ask.check else _quantile
     low, high = min(ask.quantiles), max(ask.quantiles)
-    return [(quantile(end, low), quantile(end, high)) for end in ends.T]
-
-
-def _quantile(cycles_s: Vector, level: float) -> float:
-    return float(np.quantile(cycles_s, level))
+    single = [CycleDistribution(ask.check.single(end) if ask.check else end) for end in ends.T]
+    return [(end.quantile(low), end.quantile(high)) for end in single]
 
 
 def _why(ask: Question, combined: Combined | None) -> str:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 Level = Literal["green", "amber", "red"]
 LEVELS: tuple[Level, ...] = ("green", "amber", "red")
 """From sound to not to be trusted."""
+MARKS: dict[Level, str] = {"green": "", "amber": "*", "red": " RED"}
+"""Mark behind a number, by the level of its basis."""
 
 
 @dataclass(frozen=True)

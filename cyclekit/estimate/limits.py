@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.cycle.walk import Rolled
     from cyclekit.estimate.joint.roll import RolledBoth
-    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.result import CycleEstimate, TaskShare
     from cyclekit.estimate.robot.nominal import NominalTask
     from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.estimate.robot.work_dwells import Group
@@ -78,18 +78,19 @@ def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[Cycle
     if not pooled:
         return entry, [], limits
     off: dict[Group, float] = defaultdict(float)
-    for task in pooled:
-        for group, stands in task.by_work.items():
+    less, more = 0.0, 0.0
+    ends: list[tuple[float, float]] = []
+    for task in tasks:
+        for group, stands in task.by_work.items() if task.group is None else ():
             off[group] += stands.mean_s - task.dwell_s - task.wait_s
-    less, more = min(0.0, *off.values()), max(0.0, *off.values())
+        less, more = min(0.0, *off.values()), max(0.0, *off.values())
+        ends.append((less, more))
     widened = replace(
         entry,
         expected_low_s=entry.expected_low_s + less,
         expected_high_s=entry.expected_high_s + more,
-        quantiles_s={
-            level: value + (less if level < 0.5 else more if level > 0.5 else 0.0)
-            for level, value in entry.quantiles_s.items()
-        },
+        distribution=entry.distribution and entry.distribution.shifted(less, more),
+        tasks=tuple(map(_wider, entry.tasks, ends)) if len(ends) == len(entry.tasks) else entry.tasks,
     )
     doubts = [
         f"{said}; fewer than {MIN_EXECUTIONS} executions of this order's work were logged, so it takes those of all, "
@@ -102,6 +103,12 @@ def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[Cycle
         for said in said_of_places({task.task: task.by_work for task in pooled if _of_kinds(task)})
     ]
     return widened, [Finding("work", "amber", text) for text in doubts], limits
+
+
+def _wider(task: TaskShare, by: tuple[float, float]) -> TaskShare:
+    if task.end_low_s is None or task.end_high_s is None:
+        return task
+    return replace(task, end_low_s=task.end_low_s + by[0], end_high_s=task.end_high_s + by[1])
 
 
 def _of_kinds(task: NominalTask) -> bool:

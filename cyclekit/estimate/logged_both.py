@@ -160,7 +160,7 @@ def _shares(agent: str, tasks: Sequence[pl.DataFrame]) -> Iterator[PlannedShare]
 def _share(
     agent: str, task: str, start_s: Vector, end_s: Vector, wait_s: Vector, causes: dict[str, float]
 ) -> PlannedShare:
-    band = np.quantile(end_s, LEVELS).tolist() if len(end_s) > 1 else [None, None]
+    band = np.quantile(end_s, LEVELS, method="weibull").tolist() if len(end_s) > 1 else [None, None]
     wait = max(float(wait_s.mean()), 0.0)
     return PlannedShare(agent, agent, task, float(start_s.mean()), float(end_s.mean()), wait, causes, *band)
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import OperatorPaceCard
     from cyclekit.dataset.cards.task_model import PaceCard
     from cyclekit.estimate.finding import Finding, Level
+    from cyclekit.estimate.statistics.distribution import CycleDistribution
     from cyclekit.estimate.validation.check import Check
     from cyclekit.estimate.validation.history import Combined
     from cyclekit.plots.drawing import Drawing
@@ -113,21 +114,21 @@ class CycleEstimate(Result):
         expected_low_s, expected_high_s: 95 % interval of that mean. It covers finite logs (resampled tracks) and, if
             validated, the network's error and an uncorrected bias that a doubt names. It does not cover the error in
             positions that were never logged, which is unknown.
-        quantiles_s: Quantiles of single cycles, by level.
+        distribution: The predictive distribution of single cycles; None if they are unknown.
         nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`, with `idle_s` for a plan of both agents.
         support: Share of the rolled-out time with robot and operator positions near logged samples.
         tracks: Number of operator tracks behind the estimate.
         limits: Limits of the number that need no attention, one sentence each.
         tasks: The split per task, in order.
         safety_by_activity_s: Mean safety loss per operator activity (human task), seconds, where known.
-        durations_s: Cycle time on each track, seconds, in the order of the logged executions.
+        durations_s: Cycle time on each track, seconds, as simulated, in the order of the logged executions: to compare
+            cycles with the same operator. `distribution` predicts single cycles.
         estimator: Estimator of the number: `rollout`, `average`, `history` or `nominal`.
         why: Why this estimator was used, one sentence.
         executions: Number of logged executions behind the estimate; `tracks` is larger if several start in each.
-        calibrated: Whether `quantiles_s` and the interval of the mean were corrected by logged executions.
+        levels: Levels of `quantiles_s`.
+        calibrated: Whether `distribution` and the interval of the mean were corrected by logged executions.
         takt_s: Requested takt time, seconds.
-        takt_probability: Share of the cycles within the takt time, and its 95 % interval from resampled executions, no
-            narrower than Wilson's interval for that number of executions.
         beats: Probability that its mean is below that of another sequence of the same work
             (`cyclekit.estimate.statistics.same_work`), by name, over common resampled executions.
         extrapolated: Whether most of the cycle runs through positions that were never logged.
@@ -154,7 +155,7 @@ class CycleEstimate(Result):
     expected_s: float
     expected_low_s: float
     expected_high_s: float
-    quantiles_s: Mapping[float, float]
+    distribution: CycleDistribution | None
     nominal_s: float
     safety_loss_s: float
     dwell_s: float
@@ -168,9 +169,9 @@ class CycleEstimate(Result):
     estimator: str = "rollout"
     why: str = ""
     executions: int = 0
+    levels: tuple[float, ...] = (0.05, 0.5, 0.95)
     calibrated: bool = False
     takt_s: float | None = None
-    takt_probability: tuple[float, float, float] | None = None
     beats: Mapping[str, float] = field(default_factory=dict)
     extrapolated: bool = False
     operator: tuple[str, ...] | None = None
@@ -206,9 +207,25 @@ class CycleEstimate(Result):
         return self.expected_s / max(len(self.places) - 1, 1)
 
     @property
+    def quantiles_s(self) -> dict[float, float]:
+        """Quantiles of single cycles, by level; empty if these are unknown."""
+        if self.distribution is None:
+            return {}
+        return {level: self.distribution.quantile(level) for level in self.levels}
+
+    @property
+    def takt_probability(self) -> tuple[float, float, float] | None:
+        """Share of the cycles within the takt time, and its 95 % interval; None without a takt, or unknown cycles."""
+        return None if self.takt_s is None else self.within(self.takt_s)
+
+    def within(self, takt_s: float) -> tuple[float, float, float] | None:
+        """Return the share of the cycles within a takt time, s, and its 95 % interval; None if cycles are unknown."""
+        return None if self.distribution is None else self.distribution.within(takt_s)
+
+    @property
     def median_s(self) -> float:
         """Median of single cycles."""
-        return self.quantiles_s[0.5] if 0.5 in self.quantiles_s else statistics.median(self.durations_s)
+        return statistics.median(self.durations_s) if self.distribution is None else self.distribution.quantile(0.5)
 
     @property
     def costliest_task(self) -> tuple[TaskShare, float] | None:
@@ -235,8 +252,9 @@ class CycleEstimate(Result):
         out = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in vars(self).items()
-            if name not in ("check", "asked", "pace", "limits")
+            if name not in ("check", "asked", "pace", "limits", "distribution", "levels")
         }
+        out["takt_probability"] = None if self.takt_probability is None else list(self.takt_probability)
         out |= {"doubts": list(self.doubts), "warnings": list(self.warnings), "level": self.level}
         out["findings"] = [one.to_dict() for one in self.findings]
         out["tasks"] = [dict(vars(task)) for task in self.tasks]

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Protocol
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.robot.safety import OnStates
-from cyclekit.estimate.validation.several import several_found
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -55,15 +54,17 @@ def findings_of(
         support: Share of the cycle in logged positions; NaN if unknown.
         validated: Why there is no `check`; None if nobody expects one.
     """
-    found = []
-    if dataset is not None:
-        found += [*_clock(dataset, model), *_pose(dataset, model), *_people(model, executions)]
-        found += [] if isinstance(model, OnStates) else several_found(dataset)
+    found = [] if dataset is None else [*findings_of_logs(dataset, model), *_people(model, executions)]
     if check is not None:
         found += check.findings
     elif validated is not None:
         found.append(not_validated(validated))
     return [*found, *_support(support)]
+
+
+def findings_of_logs(dataset: Dataset, model: object = None) -> list[Finding]:
+    """Return what is known about clock and pose of the tracker, on which every distance rests."""
+    return [*_clock(dataset, model), *_pose(dataset, model)]
 
 
 def confirmed(dataset: Dataset) -> bool:
@@ -74,7 +75,7 @@ def confirmed(dataset: Dataset) -> bool:
     return dataset.card.dynamics.latency_s is not None
 
 
-def _clock(dataset: Dataset, model: SafetyModel) -> Iterator[Finding]:
+def _clock(dataset: Dataset, model: object) -> Iterator[Finding]:
     if isinstance(model, OnStates) and not model.card.operator_signals:
         return  # only the robot's own log
     others = [one for one in dataset.recordings if "people" in one.tables or isinstance(model, OnStates)]
@@ -91,12 +92,12 @@ def _clock(dataset: Dataset, model: SafetyModel) -> Iterator[Finding]:
         yield Finding("clock", "green", "the clocks of robot and tracker are aligned")
 
 
-def _signals_found(dataset: Dataset, model: SafetyModel) -> bool:
+def _signals_found(dataset: Dataset, model: object) -> bool:
     """Return whether the signals of people were found in the logs: the speed follows them after a fixed delay."""
     return isinstance(model, OnStates) and not any(one.told for one in dataset.card.operator_signals)
 
 
-def _pose(dataset: Dataset, model: SafetyModel) -> Iterator[Finding]:
+def _pose(dataset: Dataset, model: object) -> Iterator[Finding]:
     logs = [one for one in dataset.recordings if "people" in one.tables]
     if isinstance(model, OnStates) or not logs:
         return

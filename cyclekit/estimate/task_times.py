@@ -9,13 +9,12 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from cyclekit.errors import CyclekitError, EstimateError
-from cyclekit.estimate.repeats import with_repeats
 from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, conformal, most_outside
-from cyclekit.estimate.statistics.resample import Z95, least_wide
+from cyclekit.estimate.statistics.distribution import CycleDistribution
+from cyclekit.estimate.statistics.resample import RESAMPLES, Z95
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.estimate.task_doubts import findings_of_plan, never_in_a_row, planned_starts_not_kept
-from cyclekit.learning.repeats import Repeated
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, roll_plan
 from cyclekit.learning.task_times.runs import FAILED
@@ -59,11 +58,9 @@ def estimate_plans(
         progress: Called with the fraction done.
     """
     found = []
-    repeats = [Repeated(one.agent, one.task, one.visits, one.again, one.usual_s) for one in model.tasks if one.again]
     for number, sequence in enumerate(sequences):
         try:
-            entry = _estimated(model, sequence, quantiles, takt_s, seed)
-            found.append(with_repeats(entry, repeats, _orders(model, sequence)))
+            found.append(_estimated(model, sequence, quantiles, takt_s, seed))
         except EstimateError as error:
             refused(sequence, error)
         except CyclekitError as error:
@@ -73,14 +70,6 @@ def estimate_plans(
             progress((number + 1) / len(sequences), sequence.name)
     groups = (sorted(some, key=lambda each: each.expected_s) for some in by_work(found).values())
     return [each for some in groups for each in _compared(some)]
-
-
-def _orders(model: TaskModelCard, sequence: TaskSequence) -> dict[str, list[str]]:
-    """Return the tasks of each agent in a plan."""
-    found: dict[str, list[str]] = {}
-    for task in sequence.plan:
-        found.setdefault(agent_of(model, task, sequence.shown), []).append(task.name)
-    return found
 
 
 def _estimated(
@@ -102,15 +91,15 @@ def _estimated(
     mine = [share for share, task in zip(shares, planned, strict=True) if task.agent == robot]
     parts = ("nominal_s", "safety_loss_s", "wait_s")
     nominal, beside, waited = (sum(getattr(share, part) for share in mine) for part in parts)
-    within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * Z95))
-    within = within and least_wide(within, model.executions)
+    errors = ndtri((np.arange(RESAMPLES) + 0.5) / RESAMPLES) * (high - low) / (2 * Z95 * expected)
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,
         expected_s=expected,
         expected_low_s=low,
         expected_high_s=high,
-        quantiles_s={level: float(np.quantile(single, level)) for level in quantiles},
+        distribution=CycleDistribution(single, errors=errors, executions=model.executions),
+        levels=tuple(quantiles),
         nominal_s=nominal,
         safety_loss_s=beside,
         dwell_s=0.0,
@@ -134,7 +123,6 @@ def _estimated(
         executions=model.executions,
         calibrated=judged is not None,
         takt_s=takt_s,
-        takt_probability=within,
         plan=planned,
         asked=sequence.plan,
         pace=tuple(model.pace.values()),
@@ -257,12 +245,6 @@ MIN_ORDERS = 3
 """Minimum number of held-out orders to widen the spread of single cycles."""
 
 
-def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float, float]:
-    """Return the share of the cycles within a takt time, and its 95 % interval."""
-    parts = [float((single + shift * error_s <= takt_s).mean()) for shift in (0.0, Z95, -Z95)]
-    return parts[0], parts[1], parts[2]
-
-
 def _shares(
     model: TaskModelCard,
     rolled: SimulatedPlan,
@@ -294,8 +276,9 @@ def _shares(
         kind = "robot" if _is_robot(model, task, sequence) else "operator"
         decided = _decided(rolled, number)
         at = float(start[number]), float(end[number]), float(wait[number])
-        single = _single(corrected * (rolled.end_s[:, number] - began[:, 0]), model.held_out, pace_error)
-        band = np.quantile(single, (min(quantiles), max(quantiles))).tolist() if len(quantiles) > 1 else ()
+        ends_s = corrected * (rolled.end_s[:, number] - began[:, 0])
+        single = CycleDistribution(_single(ends_s, model.held_out, pace_error))
+        band = [single.quantile(level) for level in (min(quantiles), max(quantiles))] if len(quantiles) > 1 else ()
         planned.append(PlannedShare(task.agent, kind, task.name, *at, decided, *band))
     return tuple(shares), tuple(planned)
 

@@ -21,6 +21,7 @@ from cyclekit.config.sequences import load_sequences
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ModelError, NothingPublished, UnknownName
+from cyclekit.estimate.finding import MARKS, worst
 from cyclekit.fleet.read import FleetCell
 from cyclekit.fleet.stages import (
     SHOWN,
@@ -216,13 +217,16 @@ def _estimate(work: CellAtWork) -> tuple[State, str]:
     ask = partial(estimate_cycles, model, dataset, wanted, out=project.estimates)
     work.estimates = cache(partial(ask, takt_s=project.takt_s, progress=work.tell))
     if work.ledger.marks.get("estimate") == mark and output_exists(project.estimates):
-        return "unchanged", "same dataset, model, sequences and takt"
+        known = work.ledger.marks.get("light", "")
+        return "unchanged", "; ".join(part for part in (known, "same dataset, model, sequences and takt") if part)
     found = work.estimates()
-    work.ledger = replace(work.ledger, marks={**work.ledger.marks, "estimate": mark})
-    means = [f"{one.name} {fixed(one.expected_s, 1)} s" for one in found]
+    red = [f"RED: {one.shown}" for one in found.findings if one.level == "red"]
+    light = "; ".join(red) or worst(found.findings)
+    work.ledger = replace(work.ledger, marks={**work.ledger.marks, "estimate": mark, "light": light})
+    means = [light, *(f"{one.name} {fixed(one.expected_s, 1)} s{MARKS[one.level]}" for one in found)]
     told = [f"wrote {written}"] if written else []
     refused = [f"not answered: {one.error.seen}" for one in found.refused]
-    return "done", "; ".join([*told, *means[:SHOWN], *refused])
+    return "done", "; ".join([*told, *means[: SHOWN + 1], *refused])
 
 
 def _report(work: CellAtWork) -> tuple[State, str]:

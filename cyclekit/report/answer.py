@@ -58,9 +58,8 @@ def section(page: PageInputs) -> dict[str, Any]:
     if len(works) > 1:
         sentences.append(texts("answer.works", count=len(works)))
     if takt_s is not None:
-        share = percent(in_time(best, takt_s))
-        tracks = str(len(best.durations_s))
-        sentences.append(texts("answer.takt", name=best.name, takt=given(takt_s), share=share, tracks=tracks))
+        share = _within(best, takt_s)
+        sentences.append(texts("answer.takt", name=best.name, takt=given(takt_s), share=share))
     return {
         "headline": said["headline"] if said else texts("answer.best", name=best.name, mean=mean),
         "sentences": sentences + missing,
@@ -87,10 +86,9 @@ def _caption(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]]) 
     return texts("answer.caption" if len(works) == 1 else "answer.caption_works")
 
 
-def in_time(estimate: CycleEstimate, takt_s: float) -> float | None:
-    """Return the share of single cycles within the takt; None without cycles."""
-    cycles = np.asarray(estimate.durations_s, dtype=np.float64)
-    return float((cycles <= takt_s).mean()) if len(cycles) else None
+def _within(one: CycleEstimate, takt_s: float) -> str:
+    within = one.within(takt_s)
+    return percent(None if within is None else within[0])
 
 
 def _best(texts: ReportTexts, best: CycleEstimate, places: int) -> list[str]:
@@ -160,7 +158,7 @@ def _table(page: PageInputs, works: Mapping[Work, Sequence[CycleEstimate]]) -> R
     for each, rank in ((each, _rank(n, work, several)) for work in works.values() for n, each in enumerate(work, 1)):
         mean, bounds = fixed(each.expected_s, places), interval(each.expected_low_s, each.expected_high_s, places)
         quantiles = [fixed(each.quantiles_s.get(level), places) for level in levels]
-        takt = [percent(in_time(each, takt_s))] if takt_s is not None else []
+        takt = [_within(each, takt_s)] if takt_s is not None else []
         visits = [str(len(each.places) - 1), fixed(each.per_visit_s, 2)] if several else []
         loss = fixed(each.safety_loss_s, places)
         rows.append([each.name, rank, mean, bounds, *quantiles, *takt, loss, percent(each.support), *visits])

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.estimate.finding import light_of, merged
 from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.report.figures import Chart
 from cyclekit.report.findings import losses, safety_function, task_shares
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.inputs import PageInputs
+    from cyclekit.report.light import TrafficLight
     from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
 
@@ -36,6 +38,7 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "cell": cell,
         "made": made,
         "answer": headline,
+        **light_of(merged([page.basis, *(one.findings for one in page.ranked)])),
         "verdict": None if page.verdict is None else page.verdict.to_dict(headline),
         "sequences": [each.to_dict() for each in page.ranked],
         "refused": [each.to_dict() for each in page.refused],
@@ -92,9 +95,12 @@ def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> It
         yield [each.sequence, 0, "", each.expected_s, each.low_s, each.high_s, *[""] * 5, each.label, *saves, work]
 
 
-def as_markdown(texts: ReportTexts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
+def as_markdown(
+    texts: ReportTexts, cell: str, made: str, sections: Mapping[str, Any], light: TrafficLight | None
+) -> str:
     """Return headings, sentences and tables as Markdown; without pictures."""
     lines = [f"# {markdown(texts('page.title', cell=cell))}", "", made, ""]
+    lines += [*(f"- {markdown(text)}" for text in light.lines), ""] if light else []
     for number, (key, section) in enumerate(sections.items(), start=1):
         lines += [f"## {number} {texts(f'{key}.title')}", ""]
         if section.get("headline"):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.config.sequences import PLAN, TaskSequence
 from cyclekit.errors import DatasetError
+from cyclekit.estimate.soundness import findings_of_logs
 from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.coupling.words import wait_rows, waited_s
 from cyclekit.learning.networks.kinds import is_classifier
@@ -15,6 +16,7 @@ from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
+from cyclekit.report.light import traffic_light
 from cyclekit.report.verdict import verdict
 from cyclekit.text.numbers import decimals_of
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import Refusal
+    from cyclekit.estimate.finding import Finding
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.validation.check import Check
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.coupling.words import WaitRow
     from cyclekit.report.findings import Judged, LoggedResponse, Overview, Predicts
     from cyclekit.report.floor import FloorPlan
+    from cyclekit.report.light import TrafficLight
     from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
     from cyclekit.report.verdict import TaktVerdict
@@ -68,6 +72,16 @@ class PageInputs:
     baseline: str | None = None
     unseen: bool = False
     refused: Sequence[Refusal] = ()
+
+    @cached_property
+    def light(self) -> TrafficLight | None:
+        """The traffic light above the numbers; None if nothing is known of their basis."""
+        return traffic_light(self.texts, [self.basis, *(one.findings for one in self.ranked)])
+
+    @cached_property
+    def basis(self) -> list[Finding]:
+        """Findings on clock and pose of the tracker, on which every distance rests."""
+        return findings_of_logs(self.dataset)
 
     @cached_property
     def samples(self) -> pl.DataFrame:

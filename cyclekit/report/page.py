@@ -18,6 +18,7 @@ from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import MARK, as_csv, as_json, as_markdown
 from cyclekit.report.inputs import PageInputs
+from cyclekit.report.light import put_away
 from cyclekit.report.play import play_part
 from cyclekit.report.template import Template
 from cyclekit.storage.atomic import write_text
@@ -150,6 +151,7 @@ def compose_report(
     for number, (key, section) in enumerate(SECTIONS.items()):
         say(0.05 * number, f"section {number + 1} of {len(SECTIONS)}: {texts(f'{key}.title').lower()}")
         sections[key] = section(page)
+    sections["answer"]["headline"] = put_away(texts, page.light, sections["answer"]["headline"])
     say(0.25, "tables of the part to play with")
     played = play_part(page) if play and kind == "html" else None
     missing = [*missing, *(played.missing if played else ())]
@@ -158,11 +160,13 @@ def compose_report(
     if kind == "json":
         content = as_json(name, made, page, sections)
     elif kind == "md":
-        content = as_markdown(texts, name, made, sections)
+        content = as_markdown(texts, name, made, sections, page.light)
     else:
         _draw(sections, lambda part, text: say(0.3 + 0.65 * part, text))
         say(0.95, "writing the page")
-        content = look.render(cell=name, made=made, version=installed("cyclekit"), play=played, **sections)
+        content = look.render(
+            cell=name, made=made, version=installed("cyclekit"), play=played, light=page.light, **sections
+        )
         content += f"\n{MARK}\n"
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))

@@ -11,9 +11,11 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.baseline import listed_cycle, listed_cycles
+from cyclekit.estimate.finding import light_of, merged
 from cyclekit.learning.task_times.parts import ALONE
 from cyclekit.report.document import MARK
 from cyclekit.report.figures.time_chart import MAX_SEQUENCES, time_chart
+from cyclekit.report.light import put_away, traffic_light
 from cyclekit.report.page import ReportFacts
 from cyclekit.report.pictures import Picture
 from cyclekit.report.play import play_lists
@@ -130,6 +132,8 @@ def report_tasks(
     parts += [*(_learned(card) if card else ()), _trust(card, missing)]
     headline = in_words(texts, held) if held else _logged_in_words(dataset, takt_s)
     said = [basis(texts, held)] if held else []
+    light = traffic_light(texts, [one.findings for one in found])
+    headline = put_away(texts, light, headline)
     name, date = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
     executions = card.executions if card else len(dataset.executions)
     made = f"{date}, cyclekit {installed('cyclekit')}, {executions} executions"
@@ -139,13 +143,15 @@ def report_tasks(
         shown = [{key: getattr(part, key) for key in ("title", "sentences", "heads", "rows")} for part in parts]
         data = {"name": name, "headline": headline, "verdict": held.to_dict(headline) if held else None, "parts": shown}
         data |= {"estimates": [one.to_dict() for one in found], "refused": [one.to_dict() for one in refused]}
-        content = json_text(data) + "\n"
+        content = json_text(data | light_of(merged(one.findings for one in found))) + "\n"
     elif kind == "md":
-        content = _markdown(name, made, [headline, *said], parts)
+        content = _markdown(name, made, [*(light.lines if light else []), headline, *said], parts)
     else:
         texts_of = {"cell": name, "made": made, "headline": headline, "version": installed("cyclekit")}
         sections = [part for part in parts if part.chart or not part.folded]
-        content = look.render(page=PAGE, said=said, parts=parts, sections=sections, play=played, **texts_of)
+        content = look.render(
+            page=PAGE, said=said, parts=parts, sections=sections, play=played, light=light, **texts_of
+        )
         content += f"\n{MARK}\n"
     write_text(out, content)
     size, pictures = out.stat().st_size, content.count("<figure")

@@ -13,7 +13,6 @@ import msgspec
 
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate
-from cyclekit.estimate.statistics.resample import wilson
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,7 +63,7 @@ class Tried:
             limits=tuple(text for text in after.warnings if text != found.safety),
             places=after.places,
             operator=after.operator,
-            within=share_of(found.after, takt_s) if isinstance(found.after, CycleEstimate) else None,
+            within=None if takt_s is None or not isinstance(after, CycleEstimate) else after.within(takt_s),
         )
 
     def saves(self, before: Mapping[str, CycleEstimate]) -> tuple[float, float | None, float | None] | None:
@@ -113,14 +112,6 @@ class _Document(msgspec.Struct):
 
     answers: tuple[_Answer, ...] | None = None
     sequences: tuple[_Estimate, ...] | None = None
-
-
-def share_of(found: CycleEstimate, takt_s: float | None) -> tuple[float, float, float] | None:
-    """Return the share of its cycles within the takt, with its 95 % interval; None without a takt, or cycles."""
-    if takt_s is None or not found.durations_s:
-        return None
-    share = sum(one <= takt_s for one in found.durations_s) / len(found.durations_s)
-    return share, *wilson(share, found.executions or len(found.durations_s))
 
 
 def _times(of: CycleEstimate | _Estimate) -> tuple[str, float, float, float]:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.statistics.same_work import by_work, work_of
-from cyclekit.report.tried import share_of
 from cyclekit.text.numbers import count, decimals_of, difference, fixed, given, interval, percent, signed_percent
 
 if TYPE_CHECKING:
@@ -102,11 +101,7 @@ class TaktVerdict:
     def within(self) -> tuple[float, float, float] | None:
         """Share of the cycles of `best` within the takt, with its 95 % interval; None without either."""
         best = self.best
-        if best is None or self.takt_s is None or not best.durations_s:
-            return None
-        if best.takt_probability is not None and best.takt_s == self.takt_s:
-            return best.takt_probability
-        return share_of(best, self.takt_s)
+        return None if best is None or self.takt_s is None else best.within(self.takt_s)
 
     def saves_s(self, expected_s: float | None) -> float | None:
         """Return what a mean cycle time saves against today, s; None without a cycle of today."""

@@ -33,11 +33,14 @@ def section(page: PageInputs) -> dict[str, Any]:
     elif seen.slowed is not None and seen.halted is not None:
         shares = {"slowed": percent(seen.slowed)} | ({"halted": percent(seen.halted)} if seen.halted else {})
         sentences.append(texts("why.slowed" if seen.halted else "why.slowed_only", **shares))
-    if found:
+    unsound = [one.shown for one in page.basis if one.level != "green"]
+    if found and unsound:  # what follows rests on the distance
+        sentences.append(texts("why.unsound", reasons="; ".join(unsound)))
+    elif found:
         sentences.append(texts("why.lead", samples=count(found.samples)))
         key = "why.distance_good" if found.explained >= EXPLAINS else "why.distance_bad"
         sentences.append(texts(key, percent=percent(found.explained)))
-    if isinstance(page.answers, RuleSafety):
+    if isinstance(page.answers, RuleSafety) and not (unsound and not asks_signals(page.answers.rule)):
         rule = page.answers.rule
         explained = f"{kind_of(rule)}, {percent(rule.explained, 1)} of held-out samples"
         sentences.append(texts("why.rule", verdict=explained, sentences="; ".join(in_words(rule))))

@@ -31,7 +31,7 @@ CONTRACT = {
     "export": (["model"], ["--out"]),
     "evaluate": (["model", "dataset"], ["--trained-on"]),
     "estimate": (["model", "sequences"], ["--dataset", "--out", "--estimator", "--takt", "--extrapolate"]),
-    "gate": (["model", "sequences"], ["--dataset", "--takt", "--confidence", "--sure", "--sequence"]),
+    "gate": (["model", "sequences"], ["--dataset", "--takt", "--share", "--confidence", "--sequence"]),
     "plan": (["model", "jobs"], ["--dataset", "--out"]),
     "zones": (["model", "dataset"], ["--out"]),
     "whatif": (["model", "sequences", "changes"], ["--dataset", "--out"]),

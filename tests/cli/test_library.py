@@ -176,7 +176,7 @@ def test_the_command_prints_what_the_function_returns(
 def hostile() -> list[Result]:
     name = "<script>\n\x1b[31m"
     share = TaskShare(name, 2.0, 1.0, 0.5, 0.5, 0.0)
-    one = CycleEstimate(name, ("a", name), *[2.0] * 3, {0.5: 2.0}, 1.0, 0.5, 0.5, 0.0, 1.0, 1, (), (share,), {}, (2.0,))
+    one = CycleEstimate(name, ("a", name), *[2.0] * 3, None, 1.0, 0.5, 0.5, 0.0, 1.0, 1, (), (share,), {}, (2.0,))
     refused = Refusal("B", EstimateError("B: never logged"))
     row = StageResult(name, "ingest", "failed", name)
     return [one, CycleEstimates((one,), (refused,)), FleetRun(name, (row,), None)]

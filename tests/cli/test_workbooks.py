@@ -85,7 +85,7 @@ def test_estimate_plan_and_report_write_the_four_sheets(
     asked, file = ["--dataset", dataset, "--no-check", "--quiet"], tmp_path / "e.xlsx"
     typed = cyclekit("estimate", model, sequences, *asked, "--takt", "1h", "--json", "--out", file)
     assert typed.code == 0, typed.err
-    assert fastexcel.read_excel(str(file)).sheet_names == SHEETS
+    assert fastexcel.read_excel(str(file)).sheet_names == ["light", *SHEETS]
     told = {one["name"]: one for one in typed.document["sequences"]}
     for row in rows_of(file, "answer"):
         assert row["expected_s"] == pytest.approx(told[row["name"]]["expected_s"])
@@ -95,7 +95,7 @@ def test_estimate_plan_and_report_write_the_four_sheets(
     assert sum(row["expected_s"] for row in tasks) == pytest.approx(sum(one["expected_s"] for one in told.values()))
     assert {row["what"]: row["value"] for row in rows_of(file, "provenance")}["executions"] == "6"
     assert cyclekit("plan", model, jobs, *asked, "--out", tmp_path / "p.xlsx").code == 0
-    assert fastexcel.read_excel(str(tmp_path / "p.xlsx")).sheet_names == SHEETS
+    assert fastexcel.read_excel(str(tmp_path / "p.xlsx")).sheet_names == ["light", *SHEETS]
     assert cyclekit("report", dataset, "--out", tmp_path / "r.xlsx", "--quiet").code == 0
     assert len(rows_of(tmp_path / "r.xlsx", "answer")) == 6
 

@@ -101,7 +101,7 @@ def test_conformal_quantiles_hold_on_new_cycles():
     inside = []
     for _ in range(400):
         cycles, fresh = rng.normal(100.0, 5.0, 50), rng.normal(100.0, 5.0)
-        inside.append(check.quantile(cycles, 0.05) <= fresh <= check.quantile(cycles, 0.95))
+        inside.append(conformal(check.single(cycles), 0.05) <= fresh <= conformal(check.single(cycles), 0.95))
     assert 0.86 < np.mean(inside) < 0.96
 
 
@@ -116,7 +116,7 @@ def test_one_other_turn_among_few_unseen_executions_is_not_taken_for_one_in_so_f
     assert len(check.residuals) == 45
     assert abs(check.own_bias) < 0.003
     cycles = rng.normal(100.0, 4.0, 4000)
-    assert check.quantile(cycles, 0.95) == pytest.approx(100 + 1.645 * 4, abs=0.6)
+    assert conformal(check.single(cycles), 0.95) == pytest.approx(100 + 1.645 * 4, abs=0.6)
 
 
 def test_where_the_unseen_executions_come_out_worse_they_alone_judge():
@@ -135,7 +135,7 @@ def test_what_the_network_leaves_open_widens_the_interval():
     own_s = rng.normal(100.0, 3.0, 400)
     others = np.where(np.eye(400, dtype=bool), np.nan, own_s[None, :])
     check = compare(own_s + rng.normal(0.0, 4.0, 400), own_s, others, np.ones(400, dtype=bool), (0.05, 0.95))
-    assert check.quantile(rng.normal(100.0, 3.0, 4000), 0.95) == pytest.approx(100 + 1.645 * 5, abs=0.5)
+    assert conformal(check.single(rng.normal(100.0, 3.0, 4000)), 0.95) == pytest.approx(100 + 1.645 * 5, abs=0.5)
 
 
 @given(st.integers(19, 200), st.sampled_from([0.05, 0.1, 0.9, 0.95]))
@@ -205,7 +205,7 @@ def test_cycles_scatter_as_logged_executions_of_other_orders_do():
     assert unseen_error == pytest.approx(0.4 * 0.04, rel=0.3)
     check = replace(crossing(50, 0.0), residuals=(0.0,) * 50)
     (low, high), (nearer, less) = (
-        [one.quantile(others_s.ravel(), level) for level in (0.05, 0.95)]
+        [conformal(one.single(others_s.ravel()), level) for level in (0.05, 0.95)]
         for one in (check, replace(check, spread=spread))
     )
     assert (less - nearer) == pytest.approx(spread * (high - low))

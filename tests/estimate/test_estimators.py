@@ -24,7 +24,7 @@ from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.program import lay_out
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.soundness import findings_of
-from cyclekit.estimate.statistics.resample import wilson
+from cyclekit.estimate.statistics.distribution import wilson
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
@@ -76,7 +76,7 @@ def test_sequences_are_compared_on_the_same_operators(logged: Dataset, staircase
     assert found["A"].beats["twin"] == 0.5
     assert found["A"].beats["other order"] == pytest.approx(1 - found["other order"].beats["A"])
     share, low, high = found["A"].takt_probability
-    assert share == np.mean(np.array(found["A"].durations_s) <= 90.0)
+    assert share == found["A"].distribution.share(90.0)
     assert low <= share <= high
 
 

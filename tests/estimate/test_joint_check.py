@@ -20,6 +20,7 @@ from cyclekit.estimate.joint.legs import Gates, operator_agenda, robot_agenda
 from cyclekit.estimate.joint.repetitions import cycles_per_resample, repetitions
 from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.robot.nominal import NominalTask
+from cyclekit.estimate.statistics.conformal import conformal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,9 +112,9 @@ def test_cycles_that_vary_much_are_no_bias(monkeypatch: pytest.MonkeyPatch) -> N
 def test_single_cycles_scatter_as_the_logged_ones_do() -> None:
     scores = tuple(np.linspace(-3.0, 1.0, 41))
     cycles = np.random.default_rng(1).normal(50.0, 2.0, 1000)
-    found = [judged(scores=scores).quantile(cycles, level) for level in (0.05, 0.95)]
+    found = [conformal(judged(scores=scores).single(cycles), level) for level in (0.05, 0.95)]
     assert found == pytest.approx([cycles.mean() - 2.89 * cycles.std(), cycles.mean() + 0.89 * cycles.std()], abs=0.01)
-    assert judged().quantile(cycles, 0.05) == pytest.approx(np.quantile(cycles, 0.05))
+    assert conformal(judged().single(cycles), 0.05) == pytest.approx(np.quantile(cycles, 0.05), abs=0.01)
 
 
 def _of_waits(rng: np.random.Generator, wait_s: float, *shape: int) -> Floats:
@@ -131,7 +132,7 @@ def test_a_few_long_waits_do_not_widen_all_intervals(monkeypatch: pytest.MonkeyP
         logged = np.array([float(_of_waits(rng, wait)) for wait in wait_s])
         found = _judged(monkeypatch, logged, rolled)
         cycles, true = _of_waits(rng, 4.0, 1000), _of_waits(rng, 4.0, 4000)
-        low_s, high_s = (found.quantile(cycles, level) for level in (0.05, 0.95))
+        low_s, high_s = (conformal(found.single(cycles), level) for level in (0.05, 0.95))
         inside.append(np.mean((true >= low_s) & (true <= high_s)))
     assert np.mean(inside) == pytest.approx(0.9, abs=0.02)
     assert min(inside) >= 0.84
@@ -155,7 +156,8 @@ def test_where_logged_cycles_scatter_more_than_rollouts_they_alone_count(monkeyp
     found = _judged(monkeypatch, logged, rng.normal(50.0, 2.0, (60, 60)))
     cycles = rng.normal(50.0, 2.0, 1000)
     true = rng.normal(50.0, 4.0, 4000)
-    assert np.mean((true >= found.quantile(cycles, 0.05)) & (true <= found.quantile(cycles, 0.95))) > 0.85
+    low_s, high_s = (conformal(found.single(cycles), level) for level in (0.05, 0.95))
+    assert np.mean((true >= low_s) & (true <= high_s)) > 0.85
 
 
 def waited(gap_s: float, away_s: list[list[float]], **told: str) -> Dataset:
@@ -202,7 +204,8 @@ def test_cycles_that_hardly_vary_do_not_widen_all_intervals(monkeypatch: pytest.
         found = _judged(monkeypatch, 50.0 + np.hypot(spread_s, 0.5) * rng.normal(0.0, 1.0, 60), rolled)
         assert found.scores
         cycles, true = rng.normal(50.0, 1.0, 1000), rng.normal(50.0, np.hypot(1.0, 0.5), 4000)
-        inside.append(np.mean((true >= found.quantile(cycles, 0.05)) & (true <= found.quantile(cycles, 0.95))))
+        low_s, high_s = (conformal(found.single(cycles), level) for level in (0.05, 0.95))
+        inside.append(np.mean((true >= low_s) & (true <= high_s)))
     assert np.mean(inside) == pytest.approx(0.9, abs=0.03)
 
 
@@ -245,7 +248,7 @@ def test_single_cycles_scatter_more_where_few_executions_tell_of_their_parts() -
     cycles = np.random.default_rng(1).normal(50.0, 2.0, 1000)
     assert [widening(count, count) for count in (40, 200)] == [1.0, 1.0]
     assert 1.0 < widening(20, 20) < widening(20, 10) < widening(10, 10) < widening(5, 5) == widening(2, 2) < 1.5
-    usual, few = (judged(widening=each).quantile(cycles, 0.95) for each in (1.0, 1.2))
+    usual, few = (conformal(judged(widening=each).single(cycles), 0.95) for each in (1.0, 1.2))
     assert few - cycles.mean() == pytest.approx(1.2 * (usual - cycles.mean()))
 
 

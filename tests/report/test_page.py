@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import replace
 from importlib.resources import files
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from msgspec import structs
@@ -17,6 +18,7 @@ from report_pages import DistanceModel, Page, estimate
 from cyclekit.config.cells import NamedPlace
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError
+from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.report import compose_report
 from cyclekit.report.pictures import Picture
 
@@ -139,8 +141,8 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     read = [file for room in (folder, folder / "figures", folder / "play") for file in room.iterdir()]
     source = "".join(file.read_text("utf-8") for file in read if file.name.endswith((".py", ".jinja", ".js")))
     known = {f"{section}.{name}" for section, names in texts.items() for name in names}
-    asked = set(re.findall(r"[\"']((?:page|answer|verdict|where|why|helps|trust|fleet|play)\.\w+)", source))
-    no_texts = {"page.css", "page.html", "page.js", "page.pdf", "fleet.html", "play.css", "play.html"}
+    asked = set(re.findall(r"[\"']((?:page|light|answer|verdict|where|why|helps|trust|fleet|play)\.\w+)", source))
+    no_texts = {"light.html", "page.css", "page.html", "page.js", "page.pdf", "fleet.html", "play.css", "play.html"}
     assert asked - known == no_texts  # but files
     names = set(re.findall(r'"(\w+)"', source))
     assert {key for key in known - asked if key.partition(".")[2] not in names} == set()
@@ -148,12 +150,13 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
 
 @pytest.mark.usefixtures("words_only")
 def test_the_takt_is_held_against_single_cycles(dataset, tmp_path):
-    cycles = tuple(float(v) for v in range(25, 35))
+    cycles = [float(v) for v in range(25, 35)]
     facts = compose_report(
-        dataset, None, tmp_path / "r.html", estimates=[estimate(durations_s=cycles)], takt_s=27.5
+        dataset, None, tmp_path / "r.html", takt_s=27.5,
+        estimates=[estimate(distribution=CycleDistribution(np.array(cycles)))],
     )  # fmt: skip
     page = Page(facts.path.read_text("utf-8"))
-    assert "“A first”: 30 % of 10 simulated cycles are within the takt of 27.5 s." in page.text.replace(
+    assert "“A first”: 32 % of the cycles are within the takt of 27.5 s." in page.text.replace(
         "\N{NO-BREAK SPACE}", " "
     )
 
@@ -190,3 +193,24 @@ def test_what_limits_several_sequences_is_said_once(dataset, tmp_path):
     compose_report(dataset, None, tmp_path / "r.html", estimates=ranked)
     page = (tmp_path / "r.html").read_text("utf-8")
     assert "<li>A first, B first: Thin logs.</li><li>B first: Bent.</li>" in page
+
+
+@pytest.mark.usefixtures("words_only")
+def test_with_a_pose_that_is_only_assumed_the_light_is_red_and_nothing_is_said_of_the_distance(dataset, tmp_path):
+    def said(cards):
+        recordings = [structs.replace(one, frame=cards) for one in dataset.card.recordings]
+        there = Dataset(dataset.path, structs.replace(dataset.card, recordings=tuple(recordings)))
+        facts = compose_report(there, None, tmp_path / "r.html", estimates=[estimate()])
+        return facts, Page(facts.path.read_text("utf-8")).text
+
+    frame = dataset.card.recordings[0].frame
+    sound, page = said(frame)
+    assert not sound.headline.startswith("Not to be trusted")
+    assert "The distance between robot and operator explains" in page
+    red, page = said(structs.replace(frame, method="assumed base frame"))
+    assert red.headline.startswith("Not to be trusted, see above: ")
+    assert "Red: these numbers cannot be trusted." in page
+    assert "`cyclekit calibrate points.csv` computes it" in page
+    assert page.index("Red: these numbers") < page.index("Not to be trusted, see above")
+    assert "safety function acts on distance" not in page
+    assert "zones or presence" not in page

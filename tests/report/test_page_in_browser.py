@@ -12,6 +12,7 @@ import browser
 import numpy as np
 import pytest
 from fabricated import THRESHOLDS_M, fabricate_dataset
+from report_pages import cycles_of
 
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import CyclekitError
@@ -51,7 +52,8 @@ def estimates():
     tasks = tuple(TaskShare(name, 4.0 + 0.02 * n, 1.5, 1.5 + 0.02 * n, 1.0, 0.0) for n, name in enumerate(names))
     one = CycleEstimate(
         name="A first", places=("conveyor",), expected_s=96.0, expected_low_s=95.0, expected_high_s=97.0,
-        quantiles_s={0.05: 90.0, 0.5: 96.0, 0.95: 103.0}, nominal_s=36.0, safety_loss_s=36.0, dwell_s=24.0, wait_s=0.0,
+        distribution=cycles_of({0.05: 90.0, 0.5: 96.0, 0.95: 103.0}),
+        nominal_s=36.0, safety_loss_s=36.0, dwell_s=24.0, wait_s=0.0,
         support=0.97, tracks=40, limits=(), tasks=tasks, safety_by_activity_s={"shelf": 20.0, "desk": 16.0},
         durations_s=tuple(float(v) for v in range(86, 106)),
     )  # fmt: skip

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from report_pages import draw_only, estimate
+from report_pages import cycles_of, draw_only, estimate
 
 from cyclekit.estimate.baseline import logged_cycle, logged_order
 from cyclekit.estimate.gantt import blocks_of
@@ -30,7 +30,7 @@ SHARES = (
 HALF = PARTS // 2
 SPLIT = {"nominal_s": 15.0, "safety_loss_s": 5.0, "dwell_s": 6.0, "wait_s": 6.0}
 ONE = estimate(
-    "one", 32.0, tasks=SHARES, quantiles_s={0.05: 27.0, 0.5: 32.0, 0.95: 38.0}, **SPLIT,
+    "one", 32.0, tasks=SHARES, distribution=cycles_of({0.05: 27.0, 0.5: 32.0, 0.95: 38.0}), **SPLIT,
     operator_at={"shelf": (1.0,) * HALF + (0.0,) * HALF, "desk": (0.0,) * HALF + (1.0,) * HALF},
 )  # fmt: skip
 BOTH = estimate(
@@ -166,7 +166,9 @@ def test_the_course_says_when_each_task_ends_in_single_cycles():
 def test_no_text_covers_another_one(tasks, width_in):
     shares = tuple(TaskShare(f"x->{name}", s + wait, s, 0.0, 0.0, wait) for name, s, wait in tasks)
     total_s = sum(share.expected_s for share in shares)
-    each = estimate(tasks[0][0] * 9, total_s, tasks=shares, quantiles_s={0.05: total_s - 1, 0.95: total_s + 1})
+    each = estimate(
+        tasks[0][0] * 9, total_s, tasks=shares, distribution=cycles_of({0.05: total_s - 1, 0.95: total_s + 1})
+    )
     with plain_style():
         figure = draw([each, each], 1.01 * total_s, width_in)
         renderer = FigureCanvasAgg(figure).get_renderer()

@@ -57,7 +57,7 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     found = document(logged, tmp_path, takt_s=30.5, **given)
     said = (
         "Today 31.0 s (mean of 4 logged executions), 50 % of cycles within the takt of 30.5 s (95 % CI 15 to 85 %). "
-        "The order found takes 25.0 s, saving 6.0 s (−19 %), 100 % of cycles within the takt (95 % CI 44 to 100 %); "
+        "The order found takes 25.0 s, saving 6.0 s (−19 %), 100 % of cycles within the takt (95 % CI 96 to 100 %); "
         "with “smaller zone” 20.0 s, saving 11.0 s (−35 %), 100 % of cycles within the takt (95 % CI 70 to 100 %)."
     )
     assert found["answer"] == said

@@ -195,7 +195,7 @@ def _card(entries: list[dict[str, Any]], rows: dict[str, int]) -> dict[str, Any]
                 "sources": [{"path": f"{session}.csv", "sha256": None, "size": 0}],
                 **{"adapter": "fabricated", "adapter_package": "tests", "adapter_version": "0"},
                 "clock": {"kind": "relative", "method": "own", "offset_s": 0.0, "rate": 1.0},
-                "frame": {"method": "assumed base frame", "up": "z"},
+                "frame": {"method": "robot base", "up": "z"},
                 **{"up": "z", "joint_names": [], "facts": {}, "key": "", "warnings": []},
                 "rows": {"robot": count, "people": count},
                 **{"rows_are": "row", "rows_read": count, "rows_set_aside": []},

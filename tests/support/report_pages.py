@@ -10,6 +10,7 @@ from fabricated import THRESHOLDS_M
 
 from cyclekit.dataset.cards import MetricsCard, TrainingCard
 from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.report.pictures import Picture
 
 
@@ -45,6 +46,12 @@ class Judgement:
         }
 
 
+def cycles_of(quantiles_s: dict[float, float]) -> CycleDistribution:
+    """Cycles with these quantiles, and straight lines between them."""
+    levels = np.arange(1, 100) / 100
+    return CycleDistribution(np.interp(levels, list(quantiles_s), list(quantiles_s.values())))
+
+
 def estimate(name="A first", mean_s=30.0, half_s=0.6, **changes):
     tasks = (
         TaskShare("conveyor->left", mean_s / 2, 5.0, mean_s / 2 - 6.0, 1.0, 0.0),
@@ -56,7 +63,7 @@ def estimate(name="A first", mean_s=30.0, half_s=0.6, **changes):
         "expected_s": mean_s,
         "expected_low_s": mean_s - half_s,
         "expected_high_s": mean_s + half_s,
-        "quantiles_s": {0.05: mean_s - 4, 0.5: mean_s, 0.95: mean_s + 5},
+        "distribution": cycles_of({0.05: mean_s - 4, 0.5: mean_s, 0.95: mean_s + 5}),
         "nominal_s": 13.0,
         "safety_loss_s": mean_s - 15.0,
         "dwell_s": 2.0,

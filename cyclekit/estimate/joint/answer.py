@@ -28,7 +28,8 @@ from cyclekit.estimate.ranked import Unranked
 from cyclekit.estimate.result import SPLIT, CycleEstimate, TaskShare
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.soundness import FEW_EXECUTIONS, MIN_SUPPORT, findings_of
-from cyclekit.estimate.statistics.resample import drawn_errors, interval_of_mean, least_wide, share_within
+from cyclekit.estimate.statistics.distribution import CycleDistribution
+from cyclekit.estimate.statistics.resample import drawn_errors, interval_of_mean
 from cyclekit.estimate.validation.question import Altered, Question
 from cyclekit.learning.networks.cell import trained_on
 from cyclekit.learning.out_of_core import in_memory
@@ -264,15 +265,14 @@ class JointAnswers:
         shares = _slowed(task_shares(cycles), factor)
         split = {part: sum(getattr(share, part) for share in shares) for part in SPLIT}
         bias = check.doubted_bias if check else 0.0
-        errors = drawn_errors(float(np.hypot(check.by_order if check else 0.0, pace_error)), judged, ask.seed)
-        within = None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias, errors=errors)
+        errors = drawn_errors(error, judged, ask.seed, count=len(weights))
 
-        def quantile(cycles_s: Vector, level: float) -> float:
-            return check.quantile(cycles_s, level) if check else float(np.quantile(cycles_s, level))
+        def single(cycles_s: Vector) -> Vector:
+            return check.single(cycles_s) if check else cycles_s
 
         def band(ends_s: Vector) -> tuple[float, ...]:
             levels = (min(ask.quantiles), max(ask.quantiles)) if len(ask.quantiles) > 1 else ()
-            return tuple(quantile(ends_s, level) for level in levels)
+            return tuple(CycleDistribution(single(ends_s)).quantile(level) for level in levels)
 
         entry = CycleEstimate(
             name=sequence.name,
@@ -280,7 +280,8 @@ class JointAnswers:
             expected_s=expected,
             expected_low_s=low,
             expected_high_s=high,
-            quantiles_s={p: quantile(durations, p) for p in ask.quantiles},
+            distribution=CycleDistribution(single(durations), weights, errors, bias, executions=self._cell.executions),
+            levels=ask.quantiles,
             **split,
             support=cycles.support,
             tracks=len(durations),
@@ -293,7 +294,6 @@ class JointAnswers:
             executions=self._cell.executions,
             calibrated=check is not None and check.coverage is not None,
             takt_s=ask.takt_s,
-            takt_probability=within and least_wide(within, self._cell.executions),
             extrapolated=cycles.support < MIN_SUPPORT,
             operator=sequence.operator,
             asked=sequence.plan,

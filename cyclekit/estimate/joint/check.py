@@ -19,10 +19,9 @@ from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.statistics.bias import bias_of
 from cyclekit.estimate.statistics.by_order import error_by_order
-from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, conformal, most_outside
+from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, most_outside
 from cyclekit.estimate.validation.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.validation.logged import logged_durations, logged_sequences
-from cyclekit.estimate.validation.several import open_wait
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,7 +107,7 @@ class JointCheck(Check):
     @property
     def doubted_bias(self) -> float:
         """Bias without a known cause, as a share of the duration: it is corrected, but may differ for other orders."""
-        return (abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0) + self.open_wait
+        return abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -143,18 +142,24 @@ class JointCheck(Check):
             found.append(Finding("unexplained-waits", "amber", text))
         return tuple(found)
 
-    def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return a quantile of corrected cycles (K,), s, conformal with the logged executions if there are enough.
+    def single(self, cycles_s: Vector) -> Vector:
+        """Return corrected cycles (K,), s, as equally probable single ones, conformal with the logged executions.
 
-        A rollout has the shape of the cycles of each order. So it is the quantile at the level that logged executions
-        have in their own rollouts. If these are wider than the rollouts, their scores in standard deviations count.
+        A rollout has the shape of the cycles of each order. So the cycle of each level is the one at the level that
+        logged executions have in their own rollouts. If these are wider than the rollouts, their scores in standard
+        deviations count.
         """
-        mean_s = float(np.mean(cycles_s))
+        mean_s, count = float(np.mean(cycles_s)), len(cycles_s)
+        levels = np.arange(1, count + 1) / (count + 1)
         if self.scores:
-            off = conformal(np.array(self.scores), level)
-            return mean_s + off * max(float(np.std(cycles_s, ddof=1)), self.least_spread * mean_s)
-        found = float(np.quantile(cycles_s, conformal(np.array(self.ranks), level) if self.ranks else level))
-        return mean_s + self.widening * (found - mean_s)
+            spread_s = max(float(np.std(cycles_s, ddof=1)), self.least_spread * mean_s)
+            ordered = mean_s + spread_s * np.quantile(np.array(self.scores), levels, method="weibull")
+        else:
+            at = np.quantile(np.array(self.ranks), levels, method="weibull") if self.ranks else levels
+            ordered = mean_s + self.widening * (np.quantile(cycles_s, at) - mean_s)
+        found = np.empty(count)
+        found[np.argsort(cycles_s, kind="stable")] = ordered
+        return found
 
 
 def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], seed: int) -> JointCheck | None:
@@ -201,7 +206,6 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         "widening": widening(len(ended), repetitions(cell)),
         "unexplained_s": waits.wait_s,
         "unseen_error": unseen_s / mean_s,
-        "open_wait": open_wait(cell.dataset, [each.name for each in sequences], mean_s),
         "missed": every - whole,
         "unended": whole - len(ended),
         "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences),

@@ -149,4 +149,8 @@ def with_stop_overs(
     said += " if he goes there"
     low, high = min(without.expected_low_s, found.expected_low_s), max(without.expected_high_s, found.expected_high_s)
     findings = (Finding("stop-over", "amber", said), *without.findings)
-    return replace(without, expected_low_s=low, expected_high_s=high, findings=findings), asked[1]
+    both = without.distribution and found.distribution and replace(without.distribution, also=(found.distribution,))
+    return (
+        replace(without, expected_low_s=low, expected_high_s=high, distribution=both, findings=findings),
+        asked[1],
+    )

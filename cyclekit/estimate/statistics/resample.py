@@ -80,49 +80,7 @@ def drawn_errors(model_error: float, judged: int, seed: int, *, count: int = RES
     return np.asarray(model_error * np.random.default_rng(seed + 1).standard_t(max(judged - 1, 1), count))
 
 
-def share_within(
-    durations_s: Vector, takt_s: float, weights: Floats, *, bias: float = 0.0, errors: Vector | None = None
-) -> tuple[float, float, float]:
-    """Return the share of K cycles that take at most `takt_s`, and its 95 % interval over the resamples.
-
-    Args:
-        durations_s: The cycles, shape (K,), s.
-        takt_s: Takt time, s.
-        weights: Weights of the cycles in each resample, shape (R, K).
-        bias: Possible bias of every cycle to either side, as a share of it; it widens the interval.
-        errors: Error of all cycles in each resample, as a share, shape (R,): it widens the interval too.
-    """
-    meets = float((durations_s <= takt_s).mean())
-    if errors is None:
-        slower, quicker = (weights @ (durations_s * (1 + off) <= takt_s) for off in (bias, -bias))
-    else:
-        order = np.argsort(durations_s)
-        upto = np.concatenate([np.zeros((len(weights), 1)), np.cumsum(weights[:, order], axis=1)], axis=1)
-        longest = (takt_s / ((1 + off) * np.maximum(1 + errors, 1e-9)) for off in (bias, -bias))
-        ends = (np.searchsorted(durations_s[order], each, side="right") for each in longest)
-        slower, quicker = (upto[np.arange(len(weights)), end] for end in ends)
-    return meets, float(np.quantile(slower, 0.025)), float(np.quantile(quicker, 0.975))
-
-
 def means_below(means: Sequence[Vector], index: int) -> Vector:
     """Return the probability that the mean of sequence `index` is below that of each, shape (N,); ties count half."""
     mine = means[index]
     return np.array([float(np.mean(mine < other) + 0.5 * np.mean(mine == other)) for other in means])
-
-
-def wilson(share: float, count: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a share that was counted in `count` cases."""
-    count = max(count, 1)
-    middle = (share + Z95**2 / (2 * count)) / (1 + Z95**2 / count)
-    half = Z95 * np.sqrt(share * (1 - share) / count + (Z95 / (2 * count)) ** 2) / (1 + Z95**2 / count)
-    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
-
-
-def least_wide(within: tuple[float, float, float], executions: int) -> tuple[float, float, float]:
-    """Return a share of cycles with its interval, no narrower than Wilson's interval of `executions` cases.
-
-    If all resampled executions are within the takt time, their interval has no width.
-    """
-    share, low, high = within
-    least, most = wilson(share, executions)
-    return share, max(min(low, least), 0.0), min(max(high, most), 1.0)

@@ -26,7 +26,7 @@ from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.safety import OnStates, SafetyModel
 from cyclekit.estimate.robot.signal_states import on_states_of
 from cyclekit.estimate.statistics.bias import bias_of, half_width_95
-from cyclekit.estimate.statistics.conformal import conformal, holds
+from cyclekit.estimate.statistics.conformal import holds
 from cyclekit.estimate.statistics.resample import TOGETHER
 from cyclekit.estimate.validation.history import TaskTimes, chance_of_logs, order_error
 from cyclekit.estimate.validation.log_level import LogLevel, log_level
@@ -38,7 +38,6 @@ from cyclekit.estimate.validation.logged import (
     with_other_tracks,
     with_own_tracks,
 )
-from cyclekit.estimate.validation.several import open_wait
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
 
@@ -102,8 +101,6 @@ class Check:
         rolled: Mean of the rollouts with all other operators, as a share of the mean logged duration.
         spread: Factor on the deviations of cycles from their mean, so that they scatter as logged executions of other
             orders do about their expected durations; 1 if the logs show people.
-        open_wait: How far the robot's waits in another order may be off to either side, as a share of the duration,
-            because several people are taken for one (`open_wait`).
     """
 
     executions: int
@@ -122,7 +119,6 @@ class Check:
     spread: float = 1.0
     level: LogLevel | None = None
     rolled: float = 1.0
-    open_wait: float = 0.0
 
     @property
     def look_at(self) -> str:
@@ -194,7 +190,7 @@ class Check:
     @property
     def doubted_bias(self) -> float:
         """Bias that a doubt names and nothing corrects, as a share of the duration; it widens the interval."""
-        return (abs(self.crossed_bias) if self._reacts else 0.0) + self.open_wait
+        return abs(self.crossed_bias) if self._reacts else 0.0
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -235,12 +231,12 @@ class Check:
         off = np.resize(np.array(self.residuals) - np.mean(self.residuals), count)
         return np.asarray(np.random.default_rng(0).permutation(off))
 
-    def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return the conformal quantile of corrected cycles (K,), s, each perturbed by a residual."""
+    def single(self, cycles_s: Vector) -> Vector:
+        """Return corrected cycles (K,), s, as equally probable single ones: each perturbed by a residual."""
         if self.spread != 1.0:
             mean_s = cycles_s.mean()
             cycles_s = mean_s + self.spread * (cycles_s - mean_s)
-        return conformal(cycles_s * (1.0 + self.residuals_of(len(cycles_s))), level)
+        return np.asarray(cycles_s * (1.0 + self.residuals_of(len(cycles_s))))
 
     def to_dict(self) -> dict[str, object]:
         """Return the validation as plain JSON values."""
@@ -311,7 +307,6 @@ def check_rollout(
         operator=operator_model([sequence.name for sequence in sequences], began, entered, entries),
         unseen_error=unseen_error,
         spread=spread,
-        open_wait=open_wait(dataset, [each.name for each in sequences], float(logged.mean())),
     )
 
 

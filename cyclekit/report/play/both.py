@@ -274,10 +274,9 @@ def _corrected(check: Check | None, count: int, arrays: Arrays, paced: float) ->
     arrays["drawn"] = resample_counts(SEED, count).astype(np.uint8)
     arrays["errors"] = np.random.default_rng(SEED + 1).standard_t(max(judged - 1, 1), RESAMPLES).astype(np.float32)
     if not isinstance(check, JointCheck):
-        return {"factor": 1.0, "model_error": paced, "share_error": paced, "doubted_bias": 0.0, "widening": 1.0}
+        return {"factor": 1.0, "model_error": paced, "doubted_bias": 0.0, "widening": 1.0}
     for name in ("scores", "ranks"):
         if told := getattr(check, name):
             arrays[name] = np.array(told, np.float32)
     told = {name: getattr(check, name) for name in ("factor", "doubted_bias", "widening", "least_spread")}
-    errors = {"model_error": check.model_error, "share_error": check.by_order}
-    return {**told, **{name: float(np.hypot(one, paced)) for name, one in errors.items()}}
+    return {**told, "model_error": float(np.hypot(check.model_error, paced))}

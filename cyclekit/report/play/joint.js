@@ -131,14 +131,19 @@ const sharesOf = (cycles, log, factor) => { // shares.task_shares, as `answer._s
 };
 
 const spreadOf = (values) => Math.sqrt(covariance(values, values));
-const conformalOf = (values, level) => { // JointCheck.quantile
-  const middle = mean(values);
-  if (tables.scores) {
-    const spread = Math.max(spreadOf(values), facts.check.least_spread * middle);
-    return middle + quantile(sorted(tables.scores), level, true) * spread;
-  }
-  const at = tables.ranks ? quantile(sorted(tables.ranks), level, true) : level;
-  return middle + facts.check.widening * (quantile(sorted(values), at) - middle);
+const singleOfBoth = (values) => { // JointCheck.single
+  const [middle, ordered] = [mean(values), sorted(values)];
+  const [scores, ranks] = [tables.scores, tables.ranks].map((some) => some && sorted(some));
+  const spread = scores ? Math.max(spreadOf(values), facts.check.least_spread * middle) : 0;
+  return shiftedOf(values, ordered.map((_, n) => {
+    const level = (n + 1) / (ordered.length + 1);
+    if (scores) return middle + quantile(scores, level, true) * spread;
+    return middle + facts.check.widening * (quantile(ordered, ranks ? quantile(ranks, level, true) : level) - middle);
+  }));
+};
+const bandOf = (single, levels) => {
+  const ordered = sorted(single);
+  return levels.map((level) => quantile(ordered, level, true));
 };
 const fewDrawn = () => { // of each row of `drawn`, which is nearly empty: the cycles that were drawn
   const [first, which] = [[0], []];
@@ -169,11 +174,11 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
   const durations = Float64Array.from({ length: facts.cycles }, (_, n) => cycles[n % cycles.length].duration_s * factor);
   const scores = tables.shifts && sharedOf();
   const shared = scores && durations.map((_, n) => scores[cycles[n % cycles.length].cycle]);
-  const expected = mean(durations);
+  const [expected, single] = [mean(durations), singleOfBoth(durations)];
   const spread = sorted(inDraws(durations, shared).map((value, row) => value * (1 + error * tables.errors[row])));
   const tell = (start_s, end_s, wait_s) => ({
     start_s: factor * mean(start_s), end_s: factor * mean(end_s), wait_s: factor * mean(wait_s),
-    ends_s: [0.05, 0.95].map((level) => conformalOf(end_s.map((value) => value * factor), level)),
+    ends_s: bandOf(singleOfBoth(end_s.map((value) => value * factor)), [0.05, 0.95]),
   });
   const shares = sharesOf(cycles, log.robot, factor);
   const mine = spansOf(cycles, log.robot, "robot", robot, tell);
@@ -182,10 +187,11 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
   return {
     expected_s: expected,
     durations_s: durations,
+    single,
     shared,
     low_s: quantile(spread, 0.025) - bias * expected,
     high_s: quantile(spread, 0.975) + bias * expected,
-    quantiles_s: [0.05, 0.5, 0.95].map((level) => conformalOf(durations, level)),
+    quantiles_s: bandOf(single, [0.05, 0.5, 0.95]),
     safety_s: shares.reduce((sum, share) => sum + share.lost_s, 0),
     support: looks ? knownLooks / looks : null,
     tasks: [...mine.map((span) => ({ ...span, share: shares[span.task] })), ...theirs],
@@ -193,29 +199,21 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
 };
 
 const TAKTS = new WeakMap(); // of each answer, the last takt and the share within it
-const withinOfBoth = (entry, takt_s) => { // share_within
+const withinOfBoth = (entry, takt_s) => {
   const [known, found] = TAKTS.get(entry) || [];
   if (known === takt_s) return found;
   const within = sharesWithin(entry, takt_s);
   TAKTS.set(entry, [takt_s, within]);
   return within;
 };
-const sharesWithin = ({ durations_s: durations, shared }, takt_s) => {
-  const { doubted_bias: bias, share_error: error } = facts.check;
+const sharesWithin = ({ single: durations, shared }, takt_s) => {
+  const { doubted_bias: bias, model_error: error } = facts.check;
   const { first, which } = tables.few; // set for the interval of the mean
   const order = Array.from(durations.keys()).sort((a, b) => durations[a] - durations[b]);
   const middle = shared ? mean(shared) : 0;
   const slope = [0]; // of the share with what durations share, up to each cycle: answer.with_sessions
   if (shared) order.forEach((n, at) => slope.push(slope[at] + (shared[n] - middle) / durations.length));
   const lengths = order.map((n) => durations[n]);
-  const upTo = (longest) => { // number of cycles that take no longer
-    let [low, high] = [0, lengths.length];
-    while (low < high) {
-      const at = (low + high) >> 1;
-      if (lengths[at] <= longest) low = at + 1; else high = at;
-    }
-    return low;
-  };
   const drawn = (by) => sorted(Float64Array.from(tables.errors, (off, row) => {
     const longest = takt_s / ((1 + by) * Math.max(1 + error * off, 1e-9));
     let [sum, count] = [0, 0];
@@ -224,10 +222,9 @@ const sharesWithin = ({ durations_s: durations, shared }, takt_s) => {
       if (durations[which[at]] <= longest) sum += times;
       count += times;
     }
-    return sum / count + (shared ? tables.shifts[row] * slope[upTo(longest)] : 0);
+    return sum / count + (shared ? tables.shifts[row] * slope[upTo(lengths, longest)] : 0);
   }));
-  const meets = mean(durations.map((value) => Number(value <= takt_s)));
-  return leastWide([meets, quantile(drawn(bias), 0.025), quantile(drawn(-bias), 0.975)]);
+  return leastWide([shareUpTo(lengths, takt_s), quantile(drawn(bias), 0.025), quantile(drawn(-bias), 0.975)]);
 };
 
 const answerBoth = (asked_for, asked, takt_s, deadline = Infinity) => {

@@ -19,6 +19,24 @@ const quantile = (ordered, level, conformal = false) => { // linear; conformal: 
   const above = Math.min(below + 1, last);
   return ordered[below] + (ordered[above] - ordered[below]) * Math.min(Math.max(place - below, 0), 1);
 };
+const upTo = (ordered, longest) => { // number of values that are no longer
+  let [low, high] = [0, ordered.length];
+  while (low < high) {
+    const at = (low + high) >> 1;
+    if (ordered[at] <= longest) low = at + 1; else high = at;
+  }
+  return low;
+};
+const shareUpTo = (ordered, until_s) => { // CycleDistribution.share
+  const last = upTo(ordered, until_s);
+  if (last === 0 || last === ordered.length) return Number(last > 0);
+  const below = ordered[last - 1];
+  return (last + (until_s - below) / (ordered[last] - below)) / (ordered.length + 1);
+};
+const shifted = (ordered, less, more) => { // CycleDistribution.shifted
+  const middle = quantile(ordered, 0.5);
+  return ordered.map((value) => value + (value < middle ? less : value > middle ? more : 0));
+};
 
 const inResamples = (values, which) => { // the mean of the values of these tracks in each resample of the executions
   const executions = tables.drawn.length / tables.errors.length;
@@ -113,20 +131,35 @@ const meansOf = (cycles, legs) => { // means_of: factor, resampled mean and erro
   };
 };
 
+const shiftedOf = (values, ordered) => { // the values in their own order, each replaced by that of its rank
+  const found = new Float64Array(values.length);
+  Array.from(values.keys()).sort((a, b) => values[a] - values[b]).forEach((n, rank) => { found[n] = ordered[rank]; });
+  return found;
+};
+const sharesOfDraws = (single, which, takt_s, bias, error) => sorted(Float64Array.from(tables.errors, (off, row) => { // CycleDistribution
+  const executions = tables.drawn.length / tables.errors.length;
+  const longest = takt_s / ((1 + bias) * Math.max(1 + error * off, 1e-9));
+  let [all, weight] = [0, 0];
+  which.forEach((track, n) => {
+    const drawn = tables.drawn[row * executions + tables.execution[track]];
+    weight += drawn;
+    if (single[n] <= longest) all += drawn;
+  });
+  return all / weight;
+}));
+
 const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles say
   const durations = cycles.duration_s.map((value) => value * means.factor);
   const expected = mean(durations);
   const bias = facts.check.doubted_bias;
   const spread = sorted(means.resampled.map((value, row) => value * (1 + means.error * tables.errors[row])));
   const wide = durations.map((value) => expected + facts.check.spread * (value - expected));
-  const off = tables.residuals ? wide.map((value, n) => value * (1 + tables.residuals[cycles.which[n]])) : durations;
-  const single = sorted(off);
-  const conformal = Boolean(tables.residuals);
-  const takt = takt_s > 0 ? [0, bias, -bias].map((by) => durations.map((value) => Number(value * (1 + by) <= takt_s))) : null;
+  const alone = tables.residuals ? wide.map((value, n) => value * (1 + tables.residuals[cycles.which[n]])) : durations;
   const lost = cycles.loss_s.reduce((sum, value) => sum + value, 0);
   const slower = lost > 0 ? Math.max(1 + ((means.factor - 1) * mean(cycles.duration_s)) / lost, 0) : 1;
   const nominal = legs.reduce((sum, leg) => sum + leg.nominal_s, 0);
   const [less, more] = widthOf(legs);
+  const single = shifted(sorted(alone), less, more);
   const stands = cycles.stand_s.reduce((sum, value) => sum + value, 0);
   const stretch = stands > 0 ? (expected - nominal - lost * slower) / stands : 0;
   return {
@@ -134,11 +167,13 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
     durations_s: [...durations],
     low_s: quantile(spread, 0.025) - bias * expected + less,
     high_s: quantile(spread, 0.975) + bias * expected + more,
-    quantiles_s: [[0.05, less], [0.5, 0], [0.95, more]].map(([level, by]) => quantile(single, level, conformal) + by),
+    quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(single, level, true)),
     ofAll: legs.some((leg) => leg.ofAll),
-    takt: takt && leastWide([
-      mean(takt[0]), quantile(sorted(inResamples(takt[1], cycles.which)), 0.025), quantile(sorted(inResamples(takt[2], cycles.which)), 0.975),
-    ]),
+    takt: takt_s > 0 ? leastWide([
+      shareUpTo(single, takt_s),
+      quantile(sharesOfDraws(alone, cycles.which, takt_s - more, bias, means.error), 0.025),
+      quantile(sharesOfDraws(alone, cycles.which, takt_s - less, -bias, means.error), 0.975),
+    ]) : null,
     safety_s: lost * slower,
     support: cycles.known / cycles.looked,
     tasks: legs.map((leg, n) => {

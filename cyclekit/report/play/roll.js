@@ -276,7 +276,7 @@ const entryOfList = (tasks, rolled, asked) => {
     durations_s: single,
     low_s: expected * (1 - sure * error),
     high_s: expected * (1 + sure * error),
-    quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(ordered, level)),
+    quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(ordered, level, true)),
     tasks: tasks.map((task, n) => {
       const from = (values) => values.map((value, cycle) => value - began[cycle]);
       const ends = plan.before[n] < 0 ? began : end[plan.before[n]];
@@ -288,7 +288,7 @@ const entryOfList = (tasks, rolled, asked) => {
         agent: task.agent, asked: task.asked, name: task.name, logged: plan.cards[n].work,
         start_s: factor * mean(from(start[n])), end_s: factor * mean(from(end[n])),
         wait_s: factor * mean(start[n].map((value, cycle) => decides[n][cycle] === -1 ? 0 : value - ends[cycle])), // -1: its own task
-        ends_s: [0.05, 0.95].map((level) => quantile(ordered_s, level)),
+        ends_s: [0.05, 0.95].map((level) => quantile(ordered_s, level, true)),
         after: cause < 0 ? null : `${tasks[cause].asked}: ${tasks[cause].name}`, part: times / decides[n].length,
       };
     }),
@@ -302,7 +302,8 @@ const answerList = (tasks, asked, takt_s) => {
     return rolled.unknown ? rolled : entryOfList(tasks, rolled, asked);
   });
   if (entry.unknown) return entry;
-  const within = (by) => mean(entry.durations_s.map((value) => Number(value + by <= takt_s)));
-  const by = entry.high_s - entry.expected_s;
-  return { ...entry, takt: takt_s > 0 ? leastWide([within(0), within(by), within(-by)]) : null };
+  const ordered = sorted(entry.durations_s);
+  const by = entry.high_s / entry.expected_s - 1;
+  const shares = [by, -by].map((off) => upTo(ordered, takt_s / (1 + off)) / ordered.length);
+  return { ...entry, takt: takt_s > 0 ? leastWide([shareUpTo(ordered, takt_s), ...shares]) : null };
 };

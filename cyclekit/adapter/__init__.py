@@ -75,6 +75,8 @@ class Recording:
         rows_read: Number of data rows or messages read, used or not.
         set_aside: Rows not used: columns `source_row` (Int64), `reason` (String).
         warnings: What the user must know before trusting the log, one sentence each.
+        impossible: Those of the warnings that mean that a whole column cannot be as it was read, such as metres that
+            are millimetres; `ingest` then refuses the log unless the user accepts it.
         facts: Other information that the log holds about itself (rate, units, tracked point), to display.
     """
 
@@ -92,6 +94,7 @@ class Recording:
     rows_read: int = 0
     set_aside: pl.DataFrame | None = None
     warnings: tuple[str, ...] = ()
+    impossible: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def tables(self) -> dict[str, pl.DataFrame]:
@@ -208,4 +211,5 @@ def concat_parts(parts: Iterable[Recording]) -> Recording:
         rows_read=sum(part.rows_read for part in every),
         set_aside=pl.concat(aside) if aside else None,
         warnings=tuple(dict.fromkeys(text for part in every for text in part.warnings)),
+        impossible=tuple(dict.fromkeys(text for part in every for text in part.impossible)),
     )

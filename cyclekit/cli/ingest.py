@@ -46,6 +46,13 @@ def ingest(
             help="coarse: align the tracker's clock by the robot's slow-downs even in doubt (docs/clocks.md)."
         ),
     ] = None,
+    accept_bad_logs: Annotated[
+        bool,
+        typer.Option(
+            "--accept-bad-logs",
+            help="Go on without the only log of its kind if it is unreadable, and with values that cannot be.",
+        ),
+    ] = False,
     follow_links: FollowLinks = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -71,6 +78,7 @@ def ingest(
                 checksums=not no_checksums,
                 pseudonymise=pseudonymise,
                 align_clocks=align_clocks,
+                accept_bad_logs=accept_bad_logs,
                 follow_links=follow_links,
                 progress=progress,
             )
@@ -90,7 +98,7 @@ def summary(report: IngestReport) -> str:
     if report.unchanged:
         return f"{report.place}: up to date ({report.recordings_kept} recordings, nothing read again)"
     kept = f", {report.recordings_kept} kept" if report.recordings_kept else ""
-    train = f", or {command_line('train', report.place, '--out', 'model')}" if report.samples else ""
+    train = f", or {command_line('train', report.place, '--out', 'model')}" if report.samples and report.tasks else ""
     return (
         f"{report.place}: {report.executions} executions, {report.tasks} tasks, {report.samples} samples\n"
         f"  recordings: {report.recordings_new} read{kept}; files not read: {len(report.not_read)}\n"

@@ -232,6 +232,8 @@ class Cell:
         waits: Wait conditions, in addition to those found in the logs.
         known_words: Words of tasks and signals that name nobody, kept in a pseudonymised dataset.
         bridge_s: Maximum gap in the operator's track that is interpolated linearly, s; longer ones stay unknown.
+        accept_bad_logs: Whether to go on without the only log of its kind if it cannot be read, and with values that
+            cannot be.
         goal_signals: Signals whose values name the place to which the operator goes next, as they are logged.
         align_clocks: How clocks that nothing relates are aligned; None = only where the logs leave no doubt.
     """
@@ -254,3 +256,4 @@ class Cell:
     known_words: tuple[str, ...] = ()
     goal_signals: tuple[str, ...] = ()
     align_clocks: AlignClocks | None = None
+    accept_bad_logs: bool = False

@@ -36,6 +36,7 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
     lines += ["all_places_named = true"] if cell.all_places_named else []
     lines += [f"levels = {toml_value(list(cell.levels))}"] if cell.levels else []
     lines += [f"goal_signals = {toml_value(list(cell.goal_signals))}"] if cell.goal_signals else []
+    lines += ["accept_bad_logs = true"] if cell.accept_bad_logs else []
     lines += [f"align_clocks = {toml_value(cell.align_clocks)}"] if cell.align_clocks else []
     for source in cell.sources:
         lines += ["", "[[sources]]"]

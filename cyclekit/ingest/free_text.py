@@ -86,6 +86,7 @@ class Words:
         told += [text for one in cell.operator_signals for text in astuple(one) if text]
         told += [text for wait in cell.waits for text in astuple(wait) if isinstance(text, str)]
         told += [text for source in cell.sources if source.sync for text in astuple(source.sync)]
+        told += cell.goal_signals
         told += [cell.executions.signal or "", cell.executions.home or ""]
         return cls(frozenset(word.lower() for text in told for word in _WORD.findall(text)))
 

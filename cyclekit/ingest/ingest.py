@@ -40,6 +40,7 @@ from cyclekit.derive.passes import Derived, derive
 from cyclekit.derive.stage_progress import StageProgress
 from cyclekit.errors import ConfigError, DatasetError, EmptyLog, LogError
 from cyclekit.extras import version
+from cyclekit.ingest.bad_logs import refuse_bad
 from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
 from cyclekit.ingest.free_text import Words
@@ -84,6 +85,7 @@ def ingest(
     keep_skeletons: bool = False,
     checksums: bool = True,
     align_clocks: AlignClocks | None = None,
+    accept_bad_logs: bool = False,
     follow_links: bool = False,
     progress: Progress | None = None,
 ) -> IngestReport:
@@ -100,11 +102,14 @@ def ingest(
         checksums: Store the BLAKE3 checksum of each log, which later shows whether a file is the one that was read.
         align_clocks: "coarse": align unrelated clocks by the slow-downs, also in doubt (docs/clocks.md); by default
             that of the cell file.
+        accept_bad_logs: Go on without the only log of its kind if it cannot be read, and with values that cannot be
+            (a person 4 km away: millimetres); otherwise these are errors. Default: that of the cell file.
         follow_links: Read targets of links that lead out of a folder of logs; otherwise they are listed in `not_read`.
         progress: Called with the fraction done and a description.
 
     Raises:
-        LogError: A log given explicitly cannot be used, or the folders hold none.
+        LogError: A log given explicitly cannot be used, nor the only one of its kind, or the folders hold none; or
+            values of a log cannot be.
         ConfigError: The cell file is invalid.
         OutputError: The dataset would replace the logs, or something that is no dataset.
         BusyPlace: Another process is writing the dataset.
@@ -120,6 +125,7 @@ def ingest(
         settings = replace(settings, rate_hz=_rate(rate_hz))
     if align_clocks is not None:
         settings = replace(settings, align_clocks=align_clocks)
+    settings = replace(settings, accept_bad_logs=accept_bad_logs or settings.accept_bad_logs)
     found, not_read = find_all(roots, settings, follow_links=follow_links)
     words = Words.of(settings)
     reading = ReadSettings(pseudonymise=pseudonymise, words=words, skeletons=keep_skeletons, checksums=checksums)
@@ -226,6 +232,8 @@ def _build(
         if error.path in explicit or not read:
             raise error
         not_read.append((shown.get(error.path, str(error.path)), error.cause))
+    if not wanted.cell.accept_bad_logs:
+        refuse_bad(wanted.logs, read, result.failed, not_read)
     gather_quarantine(read, staging)
     cell = wanted.cell
     sources = {log.id: log.source for log in wanted.logs}

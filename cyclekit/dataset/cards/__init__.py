@@ -37,6 +37,7 @@ from cyclekit.dataset.cards.model import SplitCard as SplitCard
 from cyclekit.dataset.cards.model import StandardisationCard as StandardisationCard
 from cyclekit.dataset.cards.model import TrainingCard as TrainingCard
 from cyclekit.dataset.cards.model import model_card as model_card
+from cyclekit.dataset.cards.notes import IMPOSSIBLE as IMPOSSIBLE
 from cyclekit.dataset.cards.notes import READ as READ
 from cyclekit.dataset.cards.notes import TEXT as TEXT
 from cyclekit.dataset.cards.notes import Note as Note

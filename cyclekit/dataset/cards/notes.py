@@ -23,6 +23,8 @@ TEXT = "text"
 """Code of a sentence in a dataset or model of an earlier version, which stored only sentences."""
 READ = "read"
 """Code of a sentence about a log, from its adapter or from the check of its rows."""
+IMPOSSIBLE = "impossible"
+"""Code of such a sentence about a column that cannot be as it was read."""
 
 
 class Note(Card, frozen=True, kw_only=False):
@@ -139,6 +141,7 @@ ADVICE = dict.fromkeys(
 SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     TEXT: "{text}",
     READ: "{text}",
+    IMPOSSIBLE: "{text}",
     "goal-signal-unknown": "goal_signals of the cell file: no log holds a signal {signal!r}",
     "log-changed": "the log changed while it was read: is it still being written? ingest again when it is complete",
     "log-copied": (

@@ -25,8 +25,13 @@ if TYPE_CHECKING:
 ANGLE_RAD = 26.0
 """Maximum joint angle, rad: over four turns. A larger value is not in radians."""
 SPEED_M_S = 10.0
+FASTEST_S = 5e-5
+"""Least time between rows of a robot log, s: no controller logs at 20 kHz."""
 DAY_S = 86_400.0
 _NEAR = 8
+WRONG_UNIT = 0.1
+"""Share of a column's known values beyond what can be from which its unit is wrong, not single rows garbled. Half or
+twice of it decides no log of the tests: garbled are a few in a hundred, of a wrong unit nearly all."""
 LATEST_S = 1e11
 """Maximum time, s: the year 5138, beyond any clock."""
 
@@ -48,6 +53,10 @@ class Checks:
     def warnings(self) -> list[str]:
         """Return the warnings, after the last window."""
         return [*self._number_warnings(), *self._time_warnings()]
+
+    def impossible(self) -> list[str]:
+        """Return those of the warnings that mean that a whole column cannot be as it was read."""
+        return []
 
     def neighbours(self, frame: pl.DataFrame) -> int:
         """Return the number of neighbours before and after a row; two are needed, and some may be removed."""
@@ -110,7 +119,7 @@ class Checks:
         if period is not None and period > 1.5:
             unit = "probably milliseconds read as seconds; give time_unit"
             return [f"robot rows lie {period:.3g} s apart: {unit}"]
-        if period is not None and period < 5e-5:
+        if period is not None and period < FASTEST_S:
             return [f"robot rows lie {period:.3g} s apart: check the unit of time and give time_unit"]
         return []
 
@@ -130,7 +139,8 @@ class RobotChecks(Checks):
         self._places = Places(TCP)
         self._fractions = {"scaling": _OutOfRange(), "slider": _OutOfRange()}
         self._speed = _OutOfRange()
-        self._turned: str | None = None
+        self._turned: dict[str, int] = {}
+        self._rows = 0
         self._joints = self._tcp = False
 
     def check(self, frame: pl.DataFrame) -> pl.DataFrame:
@@ -148,9 +158,12 @@ class RobotChecks(Checks):
         frame = self._speed.check(frame, "tcp_speed_m_s", speed, (speed > SPEED_M_S) | (speed < 0))
         self._tcp = self._tcp or bool(np.isfinite(column(frame, "tcp_x_m")).any())
         self._joints = self._joints or bool(np.isfinite(column(frame, "q0_rad")).any())
-        if self._turned is None:
-            angles = [name for name in frame.columns if name.startswith("q") and name.endswith("_rad")]
-            self._turned = next((n for n in angles if (np.abs(column(frame, n)) > ANGLE_RAD).any()), None)
+        here = is_here(frame)
+        self._rows += int(here.sum())
+        for name in frame.columns:
+            if name.startswith("q") and name.endswith("_rad"):
+                far = int(((np.abs(column(frame, name)) > ANGLE_RAD) & here).sum())
+                self._turned |= {name: self._turned.get(name, 0) + far} if far else {}
         return frame
 
     def warnings(self) -> list[str]:
@@ -164,14 +177,28 @@ class RobotChecks(Checks):
                 likely = "probably percent, set scaling_max = 100" if percent else "not a fraction"
                 messages.append(f"{name} reaches {seen.most:g} in {seen.rows} rows: {likely}; unknown there")
         if self._speed.rows:
-            likely = "likely mm/s" if self._speed.rows > 0.1 * self._speed.known else "garbled"
+            likely = "likely mm/s" if self._speed.in_another_unit else "garbled"
             top, rows = f"{self._speed.most:.4g}", self._speed.rows
             messages.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
         if self._turned:
-            messages.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: probably degrees; set joint_unit = "deg"')
+            messages.append(self._degrees)
         if self._joints and not self._tcp:
             messages.append(NO_TCP)
         return [*messages, *still]
+
+    @property
+    def _degrees(self) -> str:
+        name = min(self._turned)
+        return f'{name} exceeds {ANGLE_RAD:.0f} rad: probably degrees; set joint_unit = "deg"'
+
+    def impossible(self) -> list[str]:
+        """Return those of the warnings that mean that a whole column cannot be as it was read."""
+        off = self._places.impossible() + (self._period_warnings() if (self._period_s or 1.0) < FASTEST_S else [])
+        names = [
+            name for name, seen in (*self._fractions.items(), ("tcp_speed_m_s", self._speed)) if seen.in_another_unit
+        ]
+        off += [text for text in self.warnings() if any(text.startswith(f"{name} reaches") for name in names)]
+        return off + ([self._degrees] if max(self._turned.values(), default=0) > WRONG_UNIT * self._rows else [])
 
 
 class PeopleChecks(Checks):
@@ -211,12 +238,21 @@ class PeopleChecks(Checks):
         still, others = self._places.warnings()
         return [*super().warnings(), *self._no_person.warnings(), *others, *still]
 
+    def impossible(self) -> list[str]:
+        """Return those of the warnings that mean that a whole column cannot be as it was read."""
+        return self._places.impossible()
+
 
 class _OutOfRange:
     """Counts implausible values of a column and replaces them by null."""
 
     def __init__(self) -> None:
         self.rows, self.known, self.most = 0, 0, -np.inf
+
+    @property
+    def in_another_unit(self) -> bool:
+        """Whether so many values are implausible that the unit of the column is another one."""
+        return self.rows > WRONG_UNIT * self.known
 
     def check(self, frame: pl.DataFrame, name: str, value: Vector, wrong: Bools) -> pl.DataFrame:
         here = is_here(frame)

@@ -128,8 +128,8 @@ class Places:
         x, y = self._same
         self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y)).all())
 
-    def warnings(self) -> tuple[list[str], list[str]]:
-        """Return the warning about a constant position, and the others."""
+    def impossible(self) -> list[str]:
+        """Return the warnings about a wrong unit."""
         kind, found = self.kind, []
         if self._far_rows:
             found.append(
@@ -141,6 +141,11 @@ class Places:
                 f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: probably "
                 "metres with the unit given as millimetres; correct the unit"
             )
+        return found
+
+    def warnings(self) -> tuple[list[str], list[str]]:
+        """Return the warning about a constant position, and the others."""
+        kind, found = self.kind, self.impossible()
         if self._jumps:
             found.append(
                 f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}"

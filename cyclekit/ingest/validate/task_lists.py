@@ -48,10 +48,17 @@ class TaskChecks(Checks):
             messages.append(f"{open_ends} of {rows.height} tasks have no end: how long they took is unknown")
         overlaps = overlaps_of(rows, ["agent_name", "execution"])
         messages += self._overlap_warnings(overlaps.filter(pl.col("overlaps") > 0))
+        return [*messages, *self.impossible()]
+
+    def impossible(self) -> list[str]:
+        """Return the warning about durations that cannot be."""
+        rows = pl.concat(self._rows) if self._rows else pl.DataFrame()
+        if not {"t_s", "end_s"} <= set(rows.columns):
+            return []
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
-            messages.append(f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit")
-        return messages
+            return [f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit"]
+        return []
 
     def _overlap_warnings(self, agents: pl.DataFrame) -> list[str]:
         messages = [

@@ -69,11 +69,13 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
                 aside += [_reasons(rows) for rows in dropped]
         messages = tuple(text for check in checks.values() for text in check.warnings()) if after is None else ()
         new = tuple(text for text in messages if text not in part.warnings)
+        cannot = tuple(text for check in checks.values() for text in check.impossible()) if after is None else ()
         yield replace(
             part,
             **tables,  # type: ignore[arg-type]  # the names are those of the fields
             set_aside=pl.concat(aside) if aside else None,
             warnings=(*part.warnings, *new),
+            impossible=(*part.impossible, *cannot),
         )
         part = after
 

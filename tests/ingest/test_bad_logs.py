@@ -1,0 +1,99 @@
+"""The only log of its kind that cannot be read, and values that cannot be, end an ingest unless the user accepts it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit.adapter import Recording
+from cyclekit.cli import run
+from cyclekit.config import Cell, Source
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import LogError
+from cyclekit.ingest.ingest import ingest
+from cyclekit.ingest.validate.validate import examined
+
+ROUND = [("stand", 1.0), ("move", 0.3), ("stand", 0.6), ("move", 0.0), ("stand", 1.0)]
+PEOPLE = {"delimiter": ",", "time": "time", "time_unit": "s", "x": "x", "y": "y", "length_unit": "m"}
+TRACKER = Source("people.csv", adapter="csv", role="people", clock_offset_s=0.0, map=PEOPLE)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, robot_log: Any) -> Path:
+    """Logs of a robot and, in people.csv, of a person 2 m away."""
+    robot_log(tmp_path / "logs" / "robot.csv", ROUND)
+    people(tmp_path / "logs", 2.0)
+    return tmp_path / "logs"
+
+
+def people(folder: Path, x: float) -> None:
+    rows = [f"{10.0 + 0.05 * k:.2f},{x + 0.001 * k:.3f},{0.5 * x:.3f}" for k in range(120)]
+    (folder / "people.csv").write_text("\n".join(["time,x,y", *rows, ""]), encoding="utf-8")
+
+
+def test_logs_as_they_should_be_are_read(folder: Path, tmp_path: Path) -> None:
+    assert ingest([folder], tmp_path / "d", cell=Cell(sources=(TRACKER,))).tasks > 0
+
+
+def refused(folder: Path, tmp_path: Path, cell: Cell, said: str) -> None:
+    """Check that the logs are refused with this text, and read if the user accepts them."""
+    with pytest.raises(LogError, match=said) as raised:
+        ingest([folder], tmp_path / "d", cell=cell)
+    assert "accept_bad_logs = true" in str(raised.value)
+    assert not (tmp_path / "d").exists()
+    assert Dataset.open(ingest([folder], tmp_path / "d", cell=cell, accept_bad_logs=True).dataset).recordings
+
+
+def test_a_robot_log_that_nothing_reads_is_no_dataset_of_people_alone(folder: Path, tmp_path: Path) -> None:
+    (folder / "robot.csv").write_text("this is no log\n", encoding="utf-8")
+    refused(folder, tmp_path, Cell(sources=(TRACKER,)), "robot.csv: not read: .*no other log holds the robot or tasks")
+
+
+def test_the_only_tracker_that_cannot_be_read_is_missed(folder: Path, tmp_path: Path) -> None:
+    (folder / "people.csv").write_text("time,X,Y\n1,2,3\n2,3,4\n", encoding="utf-8")
+    refused(folder, tmp_path, Cell(sources=(TRACKER,)), "people.csv: .*no other log of its kind could be read")
+
+
+@pytest.mark.parametrize("key", ["accept_bad_logs = true\n", ""])
+def test_people_in_millimetres_are_an_error_unless_the_cell_file_accepts_them(
+    key: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    people(folder, 2000.0)
+    source = '[[sources]]\npath = "people.csv"\nadapter = "csv"\nrole = "people"\nclock_offset_s = 0.0\n'
+    told = ", ".join(f'{name} = "{value}"' for name, value in PEOPLE.items())
+    (folder / "cell.toml").write_text(f"{key}{source}map = {{ {told} }}\n", encoding="utf-8")
+    assert run(["ingest", str(folder), "--out", str(tmp_path / "d")]) == (0 if key else 1)
+    said = capsys.readouterr().err
+    assert "probably millimetres" in said
+    assert ("--accept-bad-logs" in said) is (not key)
+
+
+ROBOT = {
+    "the tool in millimetres": ("tcp_x_m", np.linspace(100, 400, 300), True),
+    "joints in degrees": ("q1_rad", np.linspace(-90, 90, 300), True),
+    "the scaling in percent": ("scaling", np.linspace(0, 100, 300), True),
+    "the speed in mm/s": ("tcp_speed_m_s", np.linspace(0, 400, 300), True),
+    "one garbled speed": ("tcp_speed_m_s", np.array([400.0] + [0.2] * 299), False),
+    "one garbled joint": ("q1_rad", np.array([4e5] + [0.2] * 299), False),
+    "one garbled scaling": ("scaling", np.array([50.0] + [1.0] * 299), False),
+}
+
+
+@pytest.mark.parametrize("what", ROBOT)
+def test_a_column_in_another_unit_cannot_be_and_a_garbled_row_is_only_said(what: str) -> None:
+    name, values, cannot = ROBOT[what]
+    others = {"t_s": np.arange(300) / 100, "tcp_x_m": np.sin(np.arange(300) / 30), "tcp_y_m": 0.2, "tcp_z_m": 0.3}
+    found = examined(Recording(robot=pl.DataFrame({**others, name: values})))
+    assert bool(found.impossible) is cannot
+    assert found.warnings
+
+
+def test_a_task_list_in_milliseconds_read_as_seconds_cannot_be() -> None:
+    rows = {"t_s": np.arange(9) * 1e6, "end_s": np.arange(9) * 1e6 + 9e5, "agent_name": "arm", "execution": "1"}
+    listed = {**rows, "agent": "robot", "task": "pick"}
+    (text,) = examined(Recording(task_list=pl.DataFrame(listed))).impossible
+    assert "give time_unit" in text

@@ -151,7 +151,8 @@ def compose_report(
     for number, (key, section) in enumerate(SECTIONS.items()):
         say(0.05 * number, f"section {number + 1} of {len(SECTIONS)}: {texts(f'{key}.title').lower()}")
         sections[key] = section(page)
-    sections["answer"]["headline"] = put_away(texts, page.light, sections["answer"]["headline"])
+    if ranked:  # a logged mean rests on no clock or pose
+        sections["answer"]["headline"] = put_away(texts, page.light, sections["answer"]["headline"])
     say(0.25, "tables of the part to play with")
     played = play_part(page) if play and kind == "html" else None
     missing = [*missing, *(played.missing if played else ())]

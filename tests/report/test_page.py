@@ -197,17 +197,19 @@ def test_what_limits_several_sequences_is_said_once(dataset, tmp_path):
 
 @pytest.mark.usefixtures("words_only")
 def test_with_a_pose_that_is_only_assumed_the_light_is_red_and_nothing_is_said_of_the_distance(dataset, tmp_path):
-    def said(cards):
+    def said(cards, estimates):
         recordings = [structs.replace(one, frame=cards) for one in dataset.card.recordings]
         there = Dataset(dataset.path, structs.replace(dataset.card, recordings=tuple(recordings)))
-        facts = compose_report(there, None, tmp_path / "r.html", estimates=[estimate()])
+        facts = compose_report(there, None, tmp_path / "r.html", estimates=estimates)
         return facts, Page(facts.path.read_text("utf-8")).text
 
     frame = dataset.card.recordings[0].frame
-    sound, page = said(frame)
+    sound, page = said(frame, [estimate()])
     assert not sound.headline.startswith("Not to be trusted")
     assert "The distance between robot and operator explains" in page
-    red, page = said(structs.replace(frame, method="assumed base frame"))
+    assumed = structs.replace(frame, method="assumed base frame")
+    assert not said(assumed, [])[0].headline.startswith("Not to be trusted")  # a logged mean rests on no pose
+    red, page = said(assumed, [estimate()])
     assert red.headline.startswith("Not to be trusted, see above: ")
     assert "Red: these numbers cannot be trusted." in page
     assert "`cyclekit calibrate points.csv` computes it" in page

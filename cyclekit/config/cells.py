@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 Role = Literal["robot", "people", "events", "tasks"]
+Mover = Literal["people", "hand"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
 AlignClocks = Literal["coarse"]
 """How clocks that nothing relates are aligned: `coarse` = by the robot's slow-downs, also in doubt."""
@@ -227,6 +228,8 @@ class Cell:
         rate_hz: Rate of the samples.
         all_places_named: Whether the named places are the only ones; then no others are searched for.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
+        set_override: Who moves the override that is set (speed slider): a program with "people", or a "hand"; None =
+            found in the logs.
         robot: The arm, to compute the TCP from joint angles if it is not logged.
         operator_signals: Signals that show people; empty: without a tracker, they are found in the logs.
         waits: Wait conditions, in addition to those found in the logs.
@@ -251,6 +254,7 @@ class Cell:
     rate_hz: Rate = 10.0
     bridge_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.3
     levels: Levels = ()
+    set_override: Mover | None = None
     robot: Robot | None = None
     operator_signals: tuple[OperatorSignal, ...] = ()
     known_words: tuple[str, ...] = ()

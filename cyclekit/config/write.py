@@ -38,6 +38,7 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
     lines += [f"goal_signals = {toml_value(list(cell.goal_signals))}"] if cell.goal_signals else []
     lines += ["accept_bad_logs = true"] if cell.accept_bad_logs else []
     lines += [f"align_clocks = {toml_value(cell.align_clocks)}"] if cell.align_clocks else []
+    lines += [f"set_override = {toml_value(cell.set_override)}"] if cell.set_override else []
     for source in cell.sources:
         lines += ["", "[[sources]]"]
         for key, value in vars(source).items():

@@ -33,6 +33,7 @@ class FirstPassResult:
         runs: Runs of its robot.
         marks: Rows of each run at which a logged signal marks the start of a cycle.
         standstills: Its standstills; their runs are numbered from 0.
+        slider: Least and largest value of the logged slider; None if it was not logged.
         override: Override logged by its safety system; None if not logged, or if the robot's log has the scaling.
     """
 
@@ -40,6 +41,7 @@ class FirstPassResult:
     runs: list[StoredRun]
     marks: list[Ints]
     standstills: list[Standstill]
+    slider: tuple[float, float] | None
     override: SafetyOverride | None
 
 
@@ -66,4 +68,6 @@ def first_pass(
     runs, marks = load_runs(session, read, stored, cell)
     standstills = [standstill for number, run in enumerate(runs) for standstill in find_standstills(run, number)]
     override = None if all(run.knows_scaling for run in runs) else override_of(session, read)
-    return FirstPassResult(session, runs, marks, standstills, override)
+    known = [found for run in runs if (found := run.slider_range) is not None]
+    slider = (min(low for low, _ in known), max(high for _, high in known)) if known else None
+    return FirstPassResult(session, runs, marks, standstills, slider, override)

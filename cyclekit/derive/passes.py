@@ -32,6 +32,7 @@ from cyclekit.derive.reaction_time import reaction_time
 from cyclekit.derive.robot import numbered, robot_of, with_standstills
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.second_pass import SecondPassResult, second_pass
+from cyclekit.derive.set_override.moved import with_moved_overrides
 from cyclekit.derive.signals.session_signals import (
     find_presence_signals,
     is_tracked,
@@ -128,8 +129,11 @@ def derive(
     first_results = passes.over(first, groups, "motion")
     work.found(groups, first_results)
     sessions = numbered(first_results)
+    moved = partial(with_moved_overrides, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
+    first_results, told = moved(passes, first_results, sessions)
     robot = robot_of(first_results, sessions, cell, passes.engine, partial(work.at, "speed"))
-    sessions = with_slow_down_clocks(passes, sessions, robot, sources, read, asked=coarse)
+    robot = robot._replace(warnings=[*told, *robot.warnings])
+    sessions = with_slow_down_clocks(passes, sessions, robot.runs, sources, read, asked=coarse)
     to_sample, dwells = with_standstills(passes, sessions, robot)
     sample = partial(second_pass, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)

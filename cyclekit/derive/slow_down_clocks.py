@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read
     from cyclekit.derive.over_sessions import Passes
-    from cyclekit.derive.robot import RobotInSessions
     from cyclekit.people.tracks import PersonTrack
     from cyclekit.schema import Floats, Points, Vector
     from cyclekit.segmentation.stored_run import Run
@@ -60,7 +59,7 @@ class _Unaligned:
 def with_slow_down_clocks(
     passes: Passes,
     sessions: Sequence[Session],
-    robot: RobotInSessions,
+    runs: Sequence[Run],
     sources: Mapping[str, Source | None],
     read: Read,
     *,
@@ -71,7 +70,7 @@ def with_slow_down_clocks(
     Args:
         passes: Runs the work on the sessions.
         sessions: The sessions.
-        robot: Runs of the robot, with logged or inferred scaling.
+        runs: All runs of the robot, with logged or inferred scaling.
         sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table).
         asked: Use every lag that was found, and of clocks said to be synchronised those with which that is wrong for
@@ -79,7 +78,7 @@ def with_slow_down_clocks(
     """
     methods = (ASSUMED, "epoch") if asked else (ASSUMED,)
     left = [
-        _Unaligned(log, [robot.runs[number] for number in session.runs])
+        _Unaligned(log, [runs[number] for number in session.runs])
         for session in sessions
         for log in session.recordings
         if "people" in log.tables and log.clock.method in methods and log.clock.same_as is None and session.runs

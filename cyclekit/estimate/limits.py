@@ -168,6 +168,18 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel, used: Collection[str] |
     return found
 
 
+def refuse_unknown_mover(dataset: Dataset) -> None:
+    """Refuse logs of a set override that neither people nor a hand is shown to move.
+
+    Raises:
+        EstimateError: The logs hold such an override; at full slider the cycle would be too short if people move it.
+    """
+    for one in dataset.card.warnings:
+        if one.code == "override-unknown":
+            cure = 'Set set_override = "people" or "hand" in cell.toml and ingest again.'
+            raise EstimateError(f"{dataset.path}: {one.text}", cure=cure)
+
+
 REFUSED_BIAS = 0.1
 """Minimum significant bias on the logged executions at which a model is refused."""
 

@@ -26,6 +26,7 @@ from cyclekit.estimate.limits import (
     limits_of_logs,
     no_answer,
     refuse_biased,
+    refuse_unknown_mover,
     validated,
     with_work,
 )
@@ -98,6 +99,7 @@ def estimate(
         EstimateError: A task was never logged, there is no operator track, or the support is too low.
     """
     dataset.require_positions()
+    refuse_unknown_mover(dataset)
     chosen = _chosen(model, estimator)
     model = on_states_of(model, dataset)
     if ESTIMATORS[chosen].needs is not None:

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.schema import Progress
 
-OF_FRAMES = {"frame-assumed", "frame-doubtful"}
-"""Codes of notes of the dataset that make every distance, and so the model, doubtful."""
+OF_DATASETS = {"frame-assumed", "frame-doubtful", "override-moved", "override-unknown"}
+"""Codes of notes of the dataset on what the model learns from: distances, and a set override."""
 OF_STAIRCASES = {
     "levels-many",
     "levels-wide",
@@ -187,7 +187,7 @@ def _card(
     warnings = [
         *found.notes,
         *mixed(dataset),
-        *(one for one in dataset.card.warnings if one.code in OF_FRAMES),
+        *(one for one in dataset.card.warnings if one.code in OF_DATASETS),
         *(note("model-data", text=text) for text in height_notes(found.seen)),
         *found.staircase.warnings,
         *_other_opinion(dataset, found.seen, found.staircase),

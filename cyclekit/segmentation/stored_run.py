@@ -60,6 +60,8 @@ class StoredRun:
         logged_apart: Whether that scaling was logged in a separate log, not inferred.
         changes: Times of changes of each logged signal, session seconds, ascending.
         set_override: Whether the logged scaling is the override that was set, and so a slider (`with_set_override`).
+        hand: The slider that a hand set, if people move the logged one, which then counts as scaling: times from which
+            a value holds, session time, s, and the values, shape (K,) each (`with_hand`).
     """
 
     table: StoredTable
@@ -76,6 +78,7 @@ class StoredRun:
     logged_apart: bool = False
     changes: Mapping[str, Vector] = field(default_factory=dict)
     set_override: bool = False
+    hand: tuple[Vector, Vector] | None = None
 
     @property
     def rows(self) -> int:
@@ -99,6 +102,9 @@ class StoredRun:
         if self.inferred is not None:
             return RobotRun(t_s[inside], xyz[inside], speed[inside], *self.inferred.rows(first, last))
         slider, scaling = self.slider_at(first, last), columns["scaling"][inside]
+        if self.hand is not None and self.table.unknown("scaling") == self.table.rows:
+            logged = self._slider_as_logged(first, last)
+            scaling = scaling if logged is None else logged
         if self.set_override:
             scaling = np.full(len(scaling), np.nan)
         elif slider is not None:
@@ -109,9 +115,26 @@ class StoredRun:
         """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None if it was not logged."""
         if self.set_override:
             return self.table.column("scaling", self.first + first, self.first + last + 1)
+        if self.hand is None:
+            return self._slider_as_logged(first, last)
+        from_s, values = self.hand
+        t_s = self.table.column("t_s", self.first + first, self.first + last + 1) + self.offset_s
+        return np.asarray(values[np.searchsorted(from_s, t_s, side="right").clip(1) - 1])
+
+    def _slider_as_logged(self, first: int, last: int) -> Vector | None:
         if self.more is None or "slider" not in self.more.columns:
             return None
         return self.more.column("slider", self.first + first, self.first + last + 1)
+
+    @property
+    def slider_range(self) -> tuple[float, float] | None:
+        """Least and largest value of the logged slider; None if it was not logged."""
+        blocks = (
+            self._slider_as_logged(at, min(at + BLOCK_ROWS, self.rows) - 1) for at in range(0, self.rows, BLOCK_ROWS)
+        )
+        known = [block[np.isfinite(block)] for block in blocks if block is not None]
+        ends = [(float(block.min()), float(block.max())) for block in known if len(block)]
+        return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else None
 
     @property
     def is_inferred(self) -> bool:
@@ -158,6 +181,10 @@ class StoredRun:
     def with_set_override(self) -> StoredRun:
         """Return the run with its logged scaling as the operator's slider, and the scaling unknown."""
         return replace(self, set_override=True, knows_scaling=False)
+
+    def with_hand(self, from_s: Vector, values: Vector) -> StoredRun:
+        """Return the run with its logged slider as part of the scaling, and a hand's slider beside it; see `hand`."""
+        return replace(self, hand=(from_s, values), knows_scaling=True)
 
     def with_halts(self, spans_s: Sequence[tuple[float, float]]) -> StoredRun:
         """Return a run of inferred scaling with a scaling of 0 in some times, session seconds."""

@@ -30,6 +30,8 @@ class MixedCauses:
     Attributes:
         slider: Speed slider in some executions, in (0, 1).
         slider_share: Share of these executions.
+        slider_every: A hand sets the slider anew, from `slider` to 1, before every so many executions; 0: see above.
+        slider_turns_per_hour: Likewise, at random times of a run; it begins at 1.
         reduced: Cap of the scaling while digital input 2 is on, in (0, 1).
         reduced_per_hour, reduced_s: Frequency and duration range of the reduced mode.
         limit: Cap of the scaling on one stretch of every move away from the conveyor, in (0, 1).
@@ -42,6 +44,8 @@ class MixedCauses:
 
     slider: float | None = 0.6
     slider_share: float = 0.2
+    slider_every: int = 0
+    slider_turns_per_hour: float = 0.0
     reduced: float | None = 0.35
     reduced_per_hour: float = 12.0
     reduced_s: tuple[float, float] = (15.0, 45.0)
@@ -80,10 +84,17 @@ class Slowing:
         self._length = np.ones((len(programs), width))
         self._causes, self._row = causes, np.arange(len(programs))
         self._spans: list[tuple[Array, Array, Array]] = []
+        self._turns: list[tuple[Array, Array]] = []
         for b, (program, rng) in enumerate(zip(programs, streams, strict=True)):
             count = len(program.kind)
             self._length[b, :count] = np.maximum(program.length_s, 1e-9)
-            if causes.slider is not None:
+            by_hand = bool(causes.slider_every or causes.slider_turns_per_hour)
+            if causes.slider_every:
+                self._slider[b, :count] = [
+                    _set_by_hand(causes, max(e, 0) // causes.slider_every) for e in program.execution
+                ]
+            self._turns.append(_turns(rng, causes, until_s))
+            if causes.slider is not None and not by_hand:
                 low = {e.index for e in program.executions if rng.random() < causes.slider_share}
                 self._slider[b, :count][np.isin(program.execution, list(low))] = causes.slider
             if causes.limit is not None:
@@ -96,11 +107,15 @@ class Slowing:
                 )
             )
 
-    def during(self, times: Array) -> tuple[Array, Bools, Bools]:
-        """Return cap of the reduced mode, protective stop and pause at times (T,), shape (T, B) each."""
-        found = [self._at(b, times) for b in range(len(self._spans))]
-        reduced, stopped, paused = (np.stack(column, axis=1) for column in zip(*found, strict=True))
-        return reduced, stopped, paused
+    def during(self, times: Array) -> tuple[Array, Bools, Bools, Array]:
+        """Return cap of the reduced mode, protective stop, pause and slider at times (T,), shape (T, B) each."""
+        found = [(*self._at(b, times), self._turned(b, times)) for b in range(len(self._spans))]
+        reduced, stopped, paused, slider = (np.stack(column, axis=1) for column in zip(*found, strict=True))
+        return reduced, stopped, paused, slider
+
+    def _turned(self, b: int, times: Array) -> Array:
+        at, value = self._turns[b]
+        return np.asarray(value[np.searchsorted(at, times, side="right")])
 
     def _at(self, b: int, times: Array) -> tuple[Array, Bools, Bools]:
         reduced, stops, pauses = self._spans[b]
@@ -118,7 +133,7 @@ class Slowing:
         """Return the caps of run `b` at each of its cycles."""
         slider, limit = self.segment_caps(segment, nominal_s, b)
         reduced, stopped, paused = self._at(b, times)
-        return Caps(person, reduced, limit, slider, stopped, paused)
+        return Caps(person, reduced, limit, slider * self._turned(b, times), stopped, paused)
 
     def switched_on(self, b: int, times: Array) -> Bools:
         """Return a mask of the times at which the input of the reduced mode of run `b` is on."""
@@ -160,6 +175,22 @@ def part_there(program: Program, segment: Ints) -> Bools:
 def _leaves_conveyor(program: Program) -> Bools:
     goals = np.array(("", *program.goals[:-1]))
     return np.asarray((program.kind == MOVE) & (goals == "conveyor"))
+
+
+def _set_by_hand(causes: MixedCauses, number: int) -> float:
+    """Return the `number`-th position of a slider that a hand sets, in steps of 5 %."""
+    low = causes.slider or 0.05
+    return float(np.round(20.0 * np.random.default_rng([77, number]).uniform(low, 1.0)) / 20.0)
+
+
+def _turns(rng: np.random.Generator, causes: MixedCauses, until_s: float) -> tuple[Array, Array]:
+    """Return the times (N,) at which a hand turns the slider, and its positions before and after them (N + 1,)."""
+    if not causes.slider_turns_per_hour:
+        return np.empty(0), np.ones(1)
+    at, found = np.empty(0), 0.0
+    while (found := found + rng.exponential(_HOUR_S / causes.slider_turns_per_hour)) < until_s:
+        at = np.append(at, found)
+    return at, np.append(1.0, [_set_by_hand(causes, int(n)) for n in rng.integers(1 << 30, size=len(at))])
 
 
 def _spans(rng: np.random.Generator, per_hour: float, lasts_s: tuple[float, float], until_s: float) -> Array:

@@ -23,7 +23,7 @@ from cyclekit_sim.program_state import ProgramState
 from cyclekit_sim.safety import SafetyFunction, SafetyInputs, SpeedScaling
 from cyclekit_sim.walking import Track
 
-_Now = tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
+_Now = tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array]
 _CHUNK = 1024  # cycles between two checks whether all are done
 _SLOWEST = 20.0  # a run longer than its nominal time by this factor is stuck
 _FAR_M = 1e6  # position of an absent person
@@ -124,8 +124,8 @@ class _Cells:
         standing: Array | float = 1.0
         if slowing is not None and now is not None:
             slider, limit = slowing.segment_caps(segment, u)
-            reduced, stopped, paused = now
-            pace = np.where(stopped | paused, 0.0, np.minimum(np.minimum(s, reduced), limit) * slider)
+            reduced, stopped, paused, turned = now
+            pace = np.where(stopped | paused, 0.0, np.minimum(np.minimum(s, reduced), limit) * slider * turned)
             standing = np.where(paused, 0.0, 1.0)
         state.advance(t_s, pace, standing)
         return u, s, segment

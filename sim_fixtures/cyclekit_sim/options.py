@@ -47,6 +47,8 @@ class SimulationOptions:
         silent_when_empty: The tracker writes no rows while it sees no person (CSV).
         log_outputs: False omits the gripper's output and the register of the execution from the CSV.
         log_override: False omits the two scaling columns (or the scaling topic) from the logs.
+        moves_slider: A program applies the safety function by the speed slider: `target_speed_fraction` is its
+            scaling (times the slider that a hand set), and `speed_scaling` 1 (CSV).
         ramp_down_per_s: Maximum fall of s per second; None: it jumps.
         ramp_up_per_s: Maximum rise of s per second; None: it jumps.
         latency_s: Age of the positions that s reacts to.
@@ -90,6 +92,7 @@ class SimulationOptions:
     silent_when_empty: bool = False
     log_outputs: bool = True
     log_override: bool = True
+    moves_slider: bool = False
     ramp_down_per_s: float | None = None
     ramp_up_per_s: float | None = None
     latency_s: float = 0.0

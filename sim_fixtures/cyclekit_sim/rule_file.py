@@ -1,4 +1,4 @@
-"""A rule read from a TOML file: `[[limits]]` with their conditions, or `[law]`."""
+"""A rule read from a TOML file: `[[limits]]` with their conditions, `[law]` or `[line]`."""
 
 from __future__ import annotations
 

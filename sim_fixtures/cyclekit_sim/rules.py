@@ -158,20 +158,52 @@ class IsoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return np.asarray(np.clip(v / self.programmed_m_s, self.lowest, 1.0))
 
 
+class Line(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A scaling that is `lowest` up to the distance `near_m`, 1 from `far_m` on, and linear in between.
+
+    Attributes:
+        near_m, far_m: The distances, `near_m` < `far_m`.
+        distance: One of DISTANCES.
+        lowest: Minimum scaling; 0 stops the robot.
+    """
+
+    near_m: float
+    far_m: float
+    distance: str = "tcp"
+    lowest: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse impossible parameters.
+
+        Raises:
+            ValueError: A parameter is invalid.
+        """
+        if self.distance not in DISTANCES:
+            raise ValueError(f"distance is {self.distance!r}: use one of {', '.join(DISTANCES)}")
+        if not (self.near_m < self.far_m and 0 <= self.lowest < 1):
+            raise ValueError("near_m must be below far_m, and lowest 0 to below 1")
+
+    def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
+        """Return the scaling on the line (B,), with the distance shortened by `margin_m`."""
+        share = (apart(self.distance, at) - margin_m - self.near_m) / (self.far_m - self.near_m)
+        return np.asarray(np.clip(share, self.lowest, 1.0))
+
+
 class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Safety function that replaces the scene's: the lowest of all limits and the law."""
+    """Safety function that replaces the scene's: the lowest of all limits, the law and the line."""
 
     limits: tuple[Limit, ...] = ()
     law: IsoLaw | None = None
+    line: Line | None = None
 
     def __post_init__(self) -> None:
         """Refuse an empty rule.
 
         Raises:
-            ValueError: There is neither a limit nor a law.
+            ValueError: There is neither a limit nor a law nor a line.
         """
-        if not self.limits and self.law is None:
-            raise ValueError("an empty rule: give [[limits]] or a [law]")
+        if not self.limits and self.law is None and self.line is None:
+            raise ValueError("an empty rule: give [[limits]], a [law] or a [line]")
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -180,7 +212,9 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
         """Return the scaling that the rule allows (B,), with boundaries moved outwards by `margin_m`."""
-        found = np.ones(len(at.person_m)) if self.law is None else self.law.allowed(at, margin_m)
+        found = np.ones(len(at.person_m))
+        for one in (self.law, self.line):
+            found = found if one is None else np.minimum(found, one.allowed(at, margin_m))
         for limit in self.limits:
             found = np.where(limit.applies(at, margin_m), np.minimum(found, limit.scaling), found)
         return found

@@ -37,10 +37,13 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, i
         columns["actual_digital_input_bits"] = pl.Series(robot.inputs)
     columns["robot_mode"] = pl.repeat(7, count, eager=True)
     columns["safety_status"] = pl.repeat(1, count, eager=True)
+    scaling, slider = robot.scaling, robot.slider
+    if options.moves_slider:
+        scaling, slider = np.ones(count), np.round(scaling * slider, 2)
     if options.log_override:
-        columns["speed_scaling"] = pl.Series(np.where(robot.paused, 0.0, robot.scaling))
+        columns["speed_scaling"] = pl.Series(np.where(robot.paused, 0.0, scaling))
     if options.log_override or options.causes is not None:
-        columns["target_speed_fraction"] = pl.Series(robot.slider)
+        columns["target_speed_fraction"] = pl.Series(slider)
     columns["runtime_state"] = pl.Series(np.where(robot.paused, 4, 2))
     if options.log_outputs:
         columns["output_int_register_0"] = pl.Series(robot.execution)

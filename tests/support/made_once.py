@@ -5,6 +5,7 @@ The tests run in several processes. Whoever asks first makes it, in a folder tha
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     import pytest
 
 SHARED = "shared"
+MAX_NAME = 120
+"""Maximum length of a folder's name; a longer one is cut and completed by its checksum."""
 
 
 def shared_folder(factory: pytest.TempPathFactory) -> Path:
@@ -57,6 +60,8 @@ def simulated(factory: pytest.TempPathFactory, scene: str, executions: int, seed
     """Return the folder `logs` of a simulated cell with these options."""
     about = "_".join(f"{name}-{value}" for name, value in sorted(options.items()))
     name = re.sub(r"[^\w.-]", "_", f"{scene}_{executions}_{seed}_{about}")
+    if len(name) > MAX_NAME:
+        name = f"{name[:MAX_NAME]}_{hashlib.sha1(name.encode(), usedforsecurity=False).hexdigest()}"
 
     def make(folder: Path) -> None:
         simulate(scene, folder / "logs", executions=executions, seed=seed, options=SimulationOptions(**options))

@@ -114,6 +114,14 @@ def _overrides(values: Mapping[str, Value]) -> str:
     )
 
 
+def _override(values: Mapping[str, Value], conclusion: str) -> str:
+    """Return what was seen of a set override, and what follows."""
+    turns, hours, sliders = values["turns"], float(values["hours"]), values["sliders"]
+    share = f", of which what else was logged explains {values['share']:.0%}" if "share" in values else ""
+    hand = f", times a slider that a hand set ({sliders})" if sliders else ""
+    return f"the set override (speed slider) changed {turns} times in {hours:.1f} h{share}: {conclusion}{hand}"
+
+
 def _later(values: Mapping[str, Value]) -> str:
     first, last = (f"{values[name]:+.2f}" for name in ("earliest_s", "latest_s"))
     return f"{first if first == last else f'{first} to {last}'} s after it was logged"
@@ -253,6 +261,12 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "scaling-constant": (
         "the logged speed scaling never changes, but in {share:.0%} of the motion the robot is slower than in its "
         "fastest repetitions: it is taken for the override that was set, and the scaling is inferred from the motion"
+    ),
+    "override-moved": lambda values: _override(values, "it counts as the safety function's scaling"),
+    "override-unknown": lambda values: _override(
+        values,
+        "neither a program that follows people nor a hand is shown to move it, so no cycle time can be estimated "
+        "(set_override in cell.toml says which, if you know)",
     ),
     "scaling-of-safety-log": lambda values: (
         f"{_overrides(values)} taken for the robot's speed scaling: its motion agrees to {values['error']:.3f} "

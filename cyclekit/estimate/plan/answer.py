@@ -17,7 +17,7 @@ from cyclekit.estimate.baseline import LOGGED, baseline_of
 from cyclekit.estimate.cycle.transit import TransitTable, transit_table
 from cyclekit.estimate.finding import Finding, light_of
 from cyclekit.estimate.joint.answer import waits_are_known
-from cyclekit.estimate.limits import ENDLESS, validated
+from cyclekit.estimate.limits import ENDLESS, refuse_unknown_mover, validated
 from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan.both import best_of_both
 from cyclekit.estimate.plan.jobs import ROW
@@ -157,6 +157,7 @@ def plan(
         msg = f"the model predicts problem {model.problem!r}; a plan needs the present scaling"
         cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
+    refuse_unknown_mover(dataset)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
     model = on_states_of(model, dataset)
     tasks, unlogged = _tasks(jobs, dataset)

@@ -160,10 +160,8 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel, used: Collection[str] |
         found.append("the speed scaling was not logged but inferred from velocity ratios")
     slider = [part for part in slider_losses(dataset).values() if part > 0.0]
     if slider:
-        most = (
-            f"in {len(slider)} executions the speed slider was below 100 %, which cost up to {max(slider):.1%} of them"
-        )
-        found.append(f"{most}; the estimate is for full slider")
+        most = f"in {len(slider)} executions a slider below 100 % cost up to {max(slider):.1%} of them"
+        found.append(f"{most}; estimates, validation and today's cycle are for full slider")
     found += [one.text for one in dataset.card.warnings if one.code == "executions-interrupted"]
     return found
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 STEP_S = 0.01
 """Grid of the nominal time, s; a TCP at 1 m/s moves 1 cm per step."""
+SLIDER_LOSS = 0.002
+"""Maximum share of an execution's time lost to the speed slider, for an execution at full slider."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,11 @@ def slider_losses(dataset: Dataset) -> dict[str, float]:
     lost = tasks.group_by("execution").agg(_slider_loss(tasks).sum().alias("lost"))
     durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
     return {name: seconds / max(durations[name], 1e-9) for name, seconds in lost.iter_rows() if name in durations}
+
+
+def turned_down(dataset: Dataset) -> set[str]:
+    """Return the executions that lost time to the operator's speed slider; estimates are for full slider."""
+    return {name for name, share in slider_losses(dataset).items() if share > SLIDER_LOSS}
 
 
 def _undo_scaling(track: tuple[Vector, Floats, Vector], start_s: float, arrival_s: float, nominal_s: float) -> Floats:

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.estimate.robot.nominal import slider_losses
+from cyclekit.estimate.robot.nominal import turned_down
 from cyclekit.estimate.statistics.resample import resampled, resampled_alike
-from cyclekit.estimate.validation.logged import SLIDER_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +61,7 @@ class TaskTimes:
     def __init__(self, dataset: Dataset) -> None:
         """Read the logged tasks whose motion and scaling are known."""
         other = {entry.execution for entry in dataset.card.executions if entry.reference}
-        other |= {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
+        other |= turned_down(dataset)
         tasks = dataset.uninterrupted_tasks()
         tasks = tasks.filter(pl.col("safety_loss_s").is_not_null() & ~pl.col("execution").is_in(list(other)))
         took = tasks.select("execution", "task", s=pl.col("end_s") - pl.col("start_s"))

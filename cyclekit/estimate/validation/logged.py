@@ -10,7 +10,7 @@ import numpy as np
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.cycle.transit import transit_table
 from cyclekit.estimate.cycle.walk import simulate
-from cyclekit.estimate.robot.nominal import NominalTask, slider_losses
+from cyclekit.estimate.robot.nominal import NominalTask, turned_down
 from cyclekit.estimate.robot.program import draw_standstills, lay_out
 from cyclekit.estimate.robot.safety import Dynamics, SafetyModel, at_once
 
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 OTHERS = 40
 """Number of other operator tracks per execution; twenty suffice for a 90 % interval."""
-SLIDER_LOSS = 0.002
-"""Maximum share of an execution's time lost to the speed slider, for an execution that validates the rollout."""
 
 
 def only_tracks(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
@@ -54,9 +52,9 @@ def _kept(tracks: OperatorTracks, kept: list[int]) -> OperatorTracks:
 def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
     """Return complete executions of known tasks at full speed slider as sequences, each named after its execution."""
     found = []
-    turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
+    slower = turned_down(dataset)
     for one in dataset.card.executions:
-        if one.whole and len(one.places) > 1 and one.execution not in turned_down:
+        if one.whole and len(one.places) > 1 and one.execution not in slower:
             sequence = TaskSequence(one.execution, one.places)
             if all(task in nominal for task in sequence.tasks):
                 found.append(sequence)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cyclekit.api.simulate import simulate_logs
 from cyclekit_sim import SimulationError, SimulationOptions, read_rule
 from cyclekit_sim.fields import on_of
-from cyclekit_sim.rules import IsoLaw, Limit, Rectangle, Rule
+from cyclekit_sim.rules import IsoLaw, Limit, Line, Rectangle, Rule
 from cyclekit_sim.safety import SafetyInputs, SpeedScaling
 from cyclekit_sim.scenes import BUILT_IN
 
@@ -104,6 +104,11 @@ def test_the_law_allows_the_speed_whose_protective_separation_distance_is_the_di
     assert allowed(Rule(law=law), (protective_m, 0.0)) == pytest.approx(scaling, abs=1e-9)
     assert allowed(Rule(law=law), (0.0, 0.0)) == 0.0
     assert allowed(Rule(law=law), (100.0, 0.0)) == 1.0
+
+
+@pytest.mark.parametrize(("apart_m", "scaling"), [(0.5, 0.2), (1.0, 0.2), (1.5, 0.5), (2.0, 1.0), (9.0, 1.0)])
+def test_a_line_rises_from_its_near_to_its_far_distance(apart_m: float, scaling: float) -> None:
+    assert allowed(Rule(line=Line(1.0, 2.0, "base", 0.2)), (apart_m, 0.0)) == pytest.approx(scaling)
 
 
 def test_a_robot_stays_slow_for_the_hold_time() -> None:

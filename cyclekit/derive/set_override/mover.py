@@ -16,7 +16,7 @@ from cyclekit.derive.causes.usual_levels import usual_levels
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.derive.set_override.rows import OverrideRows
+    from cyclekit.derive.set_override.rows import SetOverrideRows
     from cyclekit.schema import Floats, Ints, Vector
 
 Mover = Literal["people", "hand", "unknown"]
@@ -82,7 +82,7 @@ class Verdict(NamedTuple):
     hand: Sequence[Vector] | None = None
 
 
-def mover_of(sessions: Sequence[OverrideRows], step_s: float, told: Mover | None = None) -> Verdict:
+def mover_of(sessions: Sequence[SetOverrideRows], step_s: float, told: Mover | None = None) -> Verdict:
     """Return who moved the override.
 
     Args:
@@ -144,13 +144,13 @@ def explained(values: Vector, features: Floats, run: Ints, step_s: float) -> Exp
     return Explained(1.0 - float(left.sum() / whole.sum()), error, told)
 
 
-def _runs(sessions: Sequence[OverrideRows], step_s: float) -> Ints:
+def _runs(sessions: Sequence[SetOverrideRows], step_s: float) -> Ints:
     """Return the number of the run of each row: rows farther apart than a step are of different runs."""
     begins = [np.diff(one.t_s, prepend=-np.inf) > 1.5 * step_s for one in sessions]
     return np.cumsum(np.concatenate([np.empty(0, np.bool_), *begins]))
 
 
-def _features(sessions: Sequence[OverrideRows]) -> Floats:
+def _features(sessions: Sequence[SetOverrideRows]) -> Floats:
     names = dict.fromkeys(name for one in sessions for name in one.features)
     return np.column_stack(
         [np.concatenate([one.features.get(name, np.zeros(len(one.t_s))) for one in sessions]) for name in names]

@@ -32,7 +32,7 @@ TOGETHER_S = 1.0
 
 
 @dataclass(frozen=True)
-class OverrideRows:
+class SetOverrideRows:
     """N rows of one session while its robot log runs.
 
     Attributes:
@@ -58,7 +58,7 @@ def override_rows(
     read: Read,
     stored: Stored,
     cell: Cell,
-) -> OverrideRows:
+) -> SetOverrideRows:
     """Return rows of a session, `step_s` apart.
 
     Args:
@@ -82,7 +82,7 @@ def override_rows(
         features |= _of_people(tcp_m, human_m, step_s)
     features |= _of_signals(session, t_s, override, step_s, read, stored)
     clocks = [one.clock.method for one in session.recordings if "people" in one.tables]
-    return OverrideRows(t_s, override, scaling, features, bool(tracks) and ASSUMED not in clocks)
+    return SetOverrideRows(t_s, override, scaling, features, bool(tracks) and ASSUMED not in clocks)
 
 
 def _of_people(tcp_m: Floats, human_m: Floats, step_s: float) -> dict[str, Vector]:

@@ -13,7 +13,7 @@ from cyclekit.config.sequences import PLAN
 from cyclekit.estimate.logged_both import logged_of_both, logged_plan
 from cyclekit.estimate.operator.latest_pace import at_latest_pace, logged_pace, share_of_pace
 from cyclekit.estimate.result import AWAY, ELSEWHERE, PARTS, SPLIT, CycleEstimate, PlannedShare, TaskShare
-from cyclekit.estimate.robot.nominal import turned_down
+from cyclekit.estimate.robot.nominal import turned_otherwise
 from cyclekit.estimate.statistics.bias import half_width_95
 from cyclekit.estimate.statistics.distribution import CycleDistribution, wilson
 from cyclekit.estimate.statistics.resample import TOGETHER, Z95, resampled
@@ -108,7 +108,7 @@ def baseline_of(
     named: CycleEstimate | None = None,
     pace: Sequence[OperatorPaceCard | PaceCard] = (),
 ) -> Baseline | None:
-    """Return the baseline: the logged executions of this work at full speed slider, with an operator.
+    """Return the baseline: the logged executions of this work at the usual speed slider, with an operator.
 
     If one order makes up more than half of them, and at least MIN_RUNS, it is the usual one, and counts alone. None if
     there are none. The cycle of a plan ends when both agents are done.
@@ -126,12 +126,12 @@ def baseline_of(
         durations, logged = (
             {name: getattr(one, key) for name, one in both.items()} for key in ("duration_s", "orders")
         )
-    slower = turned_down(dataset)
+    other = turned_otherwise(dataset)
     ran = {
         one.execution: order
         for one in dataset.card.executions
         for order in logged.get(one.execution, ())
-        if one.execution in durations and not one.reference and one.execution not in slower and _does(order, work)
+        if one.execution in durations and not one.reference and one.execution not in other and _does(order, work)
     }
     if named is not None:
         ran = {name: places for name, places in ran.items() if places == _order_of(named)}

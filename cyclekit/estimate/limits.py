@@ -15,7 +15,7 @@ import polars as pl
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.finding import Finding
-from cyclekit.estimate.robot.nominal import slider_losses
+from cyclekit.estimate.robot.nominal import turned_otherwise, usual_slider
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.robot.work_dwells import MIN_EXECUTIONS, either_kind, said_of_places
 from cyclekit.estimate.soundness import MIN_SUPPORT
@@ -158,10 +158,11 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel, used: Collection[str] |
         )
     if samples.filter(pl.col("scaling_origin") == "inferred").height:
         found.append("the speed scaling was not logged but inferred from velocity ratios")
-    slider = [part for part in slider_losses(dataset).values() if part > 0.0]
-    if slider:
-        most = f"in {len(slider)} executions a slider below 100 % cost up to {max(slider):.1%} of them"
-        found.append(f"{most}; estimates, validation and today's cycle are for full slider")
+    usual, other = usual_slider(dataset), turned_otherwise(dataset)
+    if usual < 1.0 or other:
+        said = f"estimates, validation and today's cycle are for the speed slider at {usual:.0%}"
+        left = f": it stood elsewhere in {len(other)} executions, which are left out" if other else ", as logged"
+        found.append(said + left)
     found += [one.text for one in dataset.card.warnings if one.code == "executions-interrupted"]
     return found
 

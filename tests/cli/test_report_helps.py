@@ -105,7 +105,8 @@ def test_the_order_found_is_estimated_and_changed_like_a_sequence(
     assert document["verdict"]["best"]["expected_s"] == order["expected_s"]
     assert document["verdict"]["today"] is None  # three boxes of ten, and never alone
     assert any(
-        "No logged execution at full speed slider does this work" in text for text in document["sentences"]["answer"]
+        "No logged execution at the usual speed slider does this work" in text
+        for text in document["sentences"]["answer"]
     )
 
 

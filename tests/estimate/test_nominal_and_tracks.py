@@ -16,7 +16,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.limits import limits_of_logs
 from cyclekit.estimate.operator.tracks import operator_tracks
-from cyclekit.estimate.robot.nominal import STEP_S, nominal_tasks, slider_losses
+from cyclekit.estimate.robot.nominal import STEP_S, nominal_tasks, slider_losses, usual_slider
 from cyclekit.estimate.robot.support import Support
 
 
@@ -103,9 +103,8 @@ def test_a_speed_slider_is_undone_like_the_scaling_where_the_dataset_tells_it_ap
     native.with_columns(scaling=pl.col("scaling") * slider).write_parquet(file)  # logged is what is in force
     for task in nominal_tasks(found).values():
         assert task.xyz_m[len(task.xyz_m) // 2, 0] == pytest.approx(0.6875, abs=0.02)
-    lost = slider_losses(found)
-    assert set(lost) == set(found.executions["execution"])
-    assert all(0.2 < part < 0.5 for part in lost.values())
+    assert usual_slider(found) == pytest.approx(0.625)
+    assert slider_losses(found) == pytest.approx(dict.fromkeys(found.executions["execution"], 0.0))
 
 
 HALTED = {

@@ -119,7 +119,7 @@ def test_a_named_baseline_is_its_logged_executions_or_else_its_estimate(logged, 
     found = document(logged, tmp_path, **given, baseline="turned")
     assert found["answer"] == "“turned” (baseline) 20.0 s. No other sequence takes less time."
     assert found["sentences"]["answer"][0].startswith(
-        "The baseline “turned” was never logged at full speed slider: its estimate"
+        "The baseline “turned” was never logged at the usual speed slider: its estimate"
     )
     with pytest.raises(UnknownName, match="trned"):
         document(logged, tmp_path, **given, baseline="trned")
@@ -130,7 +130,7 @@ def test_where_no_logged_execution_does_the_work_there_is_no_today(logged, tmp_p
     assert found["answer"] == "“longer” takes 50.0 s on average."
     assert found["verdict"]["today"] is None
     assert found["sentences"]["answer"][0] == (
-        "No logged execution at full speed slider does this work (5 visits (a x2, b x2, home)): "
+        "No logged execution at the usual speed slider does this work (5 visits (a x2, b x2, home)): "
         "there is no cycle time of today to compare with."
     )
 

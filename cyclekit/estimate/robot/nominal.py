@@ -1,4 +1,4 @@
-"""The nominal motion of every logged task, with the speed scaling undone.
+"""The nominal motion of every logged task, with the speed scaling undone, at the usual speed slider.
 
 While a task runs, the nominal time on its path is the integral of the scaling. So the repetition of a task with the
 least safety loss, resampled over that integral, is the programmed motion. `rollout` adds the effect of an operator.
@@ -6,6 +6,7 @@ least safety loss, resampled over that integral, is the programmed motion. `roll
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 STEP_S = 0.01
 """Grid of the nominal time, s; a TCP at 1 m/s moves 1 cm per step."""
 SLIDER_LOSS = 0.002
-"""Maximum share of an execution's time lost to the speed slider, for an execution at full slider."""
+"""Maximum share of an execution's time that its speed slider changes, for an execution at the usual slider."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def _read(dataset: Dataset, wanted: Collection[str] | None) -> dict[str, Nominal
     if wanted is not None and set(tasks["task"]).issuperset(wanted):
         tasks = tasks.filter(pl.col("task").is_in(list(wanted)))
     means = tasks.group_by("task").agg(
-        nominal_s=pl.col("nominal_s").median(),
+        nominal_s=pl.col("nominal_s").median() / usual_slider(dataset),
         dwell_s=pl.col("dwell_s").mean(),
         wait_s=pl.col("wait_s").mean(),
         standstill_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
@@ -145,17 +146,37 @@ def _slider_loss(tasks: pl.DataFrame) -> pl.Expr:
     return pl.col("lost_slider_s").fill_null(0.0)
 
 
+def usual_slider(dataset: Dataset) -> float:
+    """Return the position of the operator's speed slider in most executions, equal to 0.01, else 1.
+
+    Estimates are for it: a cell whose slider always stood at 70 % has cycles at 70 %.
+    """
+    stood = [nominal_s / slowed_s for nominal_s, slowed_s in _motions(dataset).values()]
+    position, times = Counter(round(each, 2) for each in stood).most_common(1)[0] if stood else (1.0, 0)
+    same = [each for each in stood if round(each, 2) == position]
+    return sum(same) / times if 2 * times > len(stood) else 1.0
+
+
 def slider_losses(dataset: Dataset) -> dict[str, float]:
-    """Return the share of each execution's time that was lost to the operator's speed slider, by name."""
-    tasks = dataset.tasks()
-    lost = tasks.group_by("execution").agg(_slider_loss(tasks).sum().alias("lost"))
-    durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
-    return {name: seconds / max(durations[name], 1e-9) for name, seconds in lost.iter_rows() if name in durations}
+    """Return the share of each execution's time lost to the operator's speed slider beyond its usual position."""
+    usual, durations = usual_slider(dataset), dict(dataset.executions.select("execution", "duration_s").iter_rows())
+    return {
+        name: (slowed_s - nominal_s / usual) / max(durations[name], 1e-9)
+        for name, (nominal_s, slowed_s) in _motions(dataset).items()
+        if name in durations
+    }
 
 
-def turned_down(dataset: Dataset) -> set[str]:
-    """Return the executions that lost time to the operator's speed slider; estimates are for full slider."""
-    return {name for name, share in slider_losses(dataset).items() if share > SLIDER_LOSS}
+def _motions(dataset: Dataset) -> dict[str, tuple[float, float]]:
+    """Return the nominal time of the motions of each execution, and their time at its speed slider, s."""
+    tasks = dataset.tasks().filter(pl.col("nominal_s") > 0.0)
+    both = pl.col("nominal_s").sum(), (pl.col("nominal_s") + _slider_loss(tasks)).sum().alias("slowed_s")
+    return {name: (nominal_s, slowed_s) for name, nominal_s, slowed_s in tasks.group_by("execution").agg(*both).rows()}
+
+
+def turned_otherwise(dataset: Dataset) -> set[str]:
+    """Return the executions whose speed slider stood elsewhere than usual: an estimate is not for them."""
+    return {name for name, share in slider_losses(dataset).items() if abs(share) > SLIDER_LOSS}
 
 
 def _undo_scaling(track: tuple[Vector, Floats, Vector], start_s: float, arrival_s: float, nominal_s: float) -> Floats:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.estimate.robot.nominal import turned_down
+from cyclekit.estimate.robot.nominal import turned_otherwise
 from cyclekit.estimate.statistics.resample import resampled, resampled_alike
 
 if TYPE_CHECKING:
@@ -56,12 +56,12 @@ class Combined:
 
 
 class TaskTimes:
-    """Logged duration of each task in each execution with an operator and full speed slider."""
+    """Logged duration of each task in each execution with an operator, at the usual speed slider."""
 
     def __init__(self, dataset: Dataset) -> None:
         """Read the logged tasks whose motion and scaling are known."""
         other = {entry.execution for entry in dataset.card.executions if entry.reference}
-        other |= turned_down(dataset)
+        other |= turned_otherwise(dataset)
         tasks = dataset.uninterrupted_tasks()
         tasks = tasks.filter(pl.col("safety_loss_s").is_not_null() & ~pl.col("execution").is_in(list(other)))
         took = tasks.select("execution", "task", s=pl.col("end_s") - pl.col("start_s"))

@@ -10,7 +10,7 @@ import numpy as np
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.cycle.transit import transit_table
 from cyclekit.estimate.cycle.walk import simulate
-from cyclekit.estimate.robot.nominal import NominalTask, turned_down
+from cyclekit.estimate.robot.nominal import NominalTask, turned_otherwise
 from cyclekit.estimate.robot.program import draw_standstills, lay_out
 from cyclekit.estimate.robot.safety import Dynamics, SafetyModel, at_once
 
@@ -50,11 +50,11 @@ def _kept(tracks: OperatorTracks, kept: list[int]) -> OperatorTracks:
 
 
 def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
-    """Return complete executions of known tasks at full speed slider as sequences, each named after its execution."""
+    """Return complete executions of known tasks at the usual speed slider as sequences, named after them."""
     found = []
-    slower = turned_down(dataset)
+    other = turned_otherwise(dataset)
     for one in dataset.card.executions:
-        if one.whole and len(one.places) > 1 and one.execution not in slower:
+        if one.whole and len(one.places) > 1 and one.execution not in other:
             sequence = TaskSequence(one.execution, one.places)
             if all(task in nominal for task in sequence.tasks):
                 found.append(sequence)

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 Mover = Literal["people", "hand", "unknown"]
 
 CHANGE_S = 10.0
-"""Time over which changes are compared, s: longer than a reaction, shorter than what a hand leaves set. Half and twice
-of it change none of the forty cells of `benchmarks/set_override.py`."""
+"""Time over which changes are compared, s: longer than a reaction, shorter than what a hand leaves set."""
 MOST = 0.5
 """Share of the changes above which something explains most of them."""
 SURE = 2.0

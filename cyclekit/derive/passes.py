@@ -1,9 +1,8 @@
 """Derive samples and tasks from recordings: one clock, one base frame, executions, goals, scaling.
 
-All of it can be computed again from the recordings, without the vendor files. `ingest` reads those files;
-`segmentation` finds places and executions. Three passes go session by session, on all cores of the engine
-(`first_pass`, `second_pass`, `last_pass`); large tables stay in files. Between the passes, all sessions
-together give places, executions, speed references, usual dwells and levels.
+All of it can be computed again from the recordings, without the vendor files. Three passes go session by session, on
+all cores of the engine (`first_pass`, `second_pass`, `last_pass`); large tables stay in files. Between the passes, all
+sessions together give places, executions, speed references, usual dwells and levels.
 """
 
 from __future__ import annotations
@@ -113,8 +112,7 @@ def derive(
         folder: Folder for the files of samples.
         work: Told how far it is.
         engine: Runs the passes over the sessions; `read` and `stored` must work in its workers.
-        coarse: Align clocks that nothing else relates to the robot's by the slow-downs, also where they are not
-            certain.
+        coarse: Align clocks that nothing else relates to the robot's by the slow-downs, also where uncertain.
 
     Raises:
         UnknownName: The home of the cell file is not among the places found.

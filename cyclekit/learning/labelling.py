@@ -25,6 +25,13 @@ if TYPE_CHECKING:
 
 MIN_LATENCY_S = 0.03
 """Minimum reaction time, s, that exceeds its own error."""
+OF_LOGS = {"frame-assumed", "frame-doubtful", "override-moved", "override-unknown"}
+"""Codes of notes of the dataset on what a model learns from: distances, and a set override."""
+
+
+def notes_of_logs(dataset: Dataset) -> list[Note]:
+    """Return the notes of a dataset that hold for each model trained on it."""
+    return [one for one in dataset.card.warnings if one.code in OF_LOGS]
 
 
 def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[Floats, Ints]:

@@ -20,7 +20,7 @@ from cyclekit.errors import ModelError, NoLevels
 from cyclekit.extras import need
 from cyclekit.learning.coupling.learn import learn_coupling
 from cyclekit.learning.divided_rows import DividedRows, divided, is_commanded
-from cyclekit.learning.labelling import scaling_in_time, with_commands
+from cyclekit.learning.labelling import notes_of_logs, scaling_in_time, with_commands
 from cyclekit.learning.networks.cell import cell_of, fingerprint
 from cyclekit.learning.networks.comparison import staircase_if_better
 from cyclekit.learning.networks.kinds import NETWORKS
@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.schema import Progress
 
-OF_DATASETS = {"frame-assumed", "frame-doubtful", "override-moved", "override-unknown"}
-"""Codes of notes of the dataset on what the model learns from: distances, and a set override."""
 OF_STAIRCASES = {
     "levels-many",
     "levels-wide",
@@ -187,7 +185,7 @@ def _card(
     warnings = [
         *found.notes,
         *mixed(dataset),
-        *(one for one in dataset.card.warnings if one.code in OF_DATASETS),
+        *notes_of_logs(dataset),
         *(note("model-data", text=text) for text in height_notes(found.seen)),
         *found.staircase.warnings,
         *_other_opinion(dataset, found.seen, found.staircase),

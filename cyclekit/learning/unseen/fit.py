@@ -18,6 +18,7 @@ from cyclekit.dataset.cards import LevelShare, RowsCard, SplitCard, TrainingCard
 from cyclekit.dataset.cards.unseen import UnseenOperatorCard
 from cyclekit.errors import DatasetError, command_line
 from cyclekit.learning.coupling.learn import learn_coupling
+from cyclekit.learning.labelling import notes_of_logs
 from cyclekit.learning.networks.cell import cell_of, fingerprint
 from cyclekit.learning.networks.saved import MODEL_VERSION
 from cyclekit.learning.unseen.hidden import fit, log_likelihoods, of_levels
@@ -171,7 +172,10 @@ def _card(dataset: Dataset, levels: tuple[float, ...], courses: dict[str, Course
         dataset_sha256=fingerprint(dataset),
         cell=cell_of(dataset),
         levels=tuple(LevelShare(value=value, share=round(part, 6)) for value, part in shares),
-        warnings=(note("model-data", text="no log shows people: the positions of the operator are unknown"),),
+        warnings=(
+            *notes_of_logs(dataset),
+            note("model-data", text="no log shows people: the positions of the operator are unknown"),
+        ),
         rate_hz=dataset.rate_hz,
         mean_scaling=float(np.array(levels)[known].mean()),
         rows=RowsCard(train=len(known), validation=0, test=0),

@@ -1,4 +1,4 @@
-"""`cyclekit export`: writes a model for other runtimes."""
+"""`cyclekit export`: writes a model for other programs."""
 
 from __future__ import annotations
 
@@ -9,25 +9,23 @@ import typer
 
 from cyclekit.cli.options import Json, ModelPlace, Quiet
 from cyclekit.cli.terminal import Terminal
-from cyclekit.text.numbers import scientific
 
-EXAMPLE = "cyclekit export model --out model.onnx"
+EXAMPLE = "cyclekit export model --out rule.json"
 
 
 def export(
     model: ModelPlace,
-    out: Annotated[Path, typer.Option(help="The ONNX file to write.", metavar="FILE")],
+    out: Annotated[Path, typer.Option(help="ONNX file of a network, or JSON file of a rule.", metavar="FILE")],
+    network: Annotated[bool, typer.Option("--network", help="The network, also if a rule answers.")] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a model as an ONNX file.
+    """Write what answers for a model: a network as ONNX, a rule as JSON.
 
-    The file is checked against cyclekit's own prediction if onnxruntime is installed.
+    An ONNX file is checked against cyclekit's own prediction if onnxruntime is installed.
     """
     from cyclekit.api.export import export_model
 
     terminal = Terminal(json=json, quiet=quiet)
-    done = export_model(model, out)
-    off = done.difference
-    checked = "not checked: onnxruntime is not installed" if off is None else f"within {scientific(off, 0)} of cyclekit"
-    terminal.done(done.to_dict(), f"{out}: {checked}")
+    done = export_model(model, out, network=network)
+    terminal.done(done.to_dict(), repr(done).partition(": ")[2])

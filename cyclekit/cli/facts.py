@@ -309,6 +309,10 @@ def _model(found: ModelDescription) -> str:
         named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels predicted correctly"
         errors = f"MSE {scientific(metrics.mse_mean)}, mean absolute error {fixed(metrics.mae, 4)}"
         lines.append(bullet([f"{errors}{named} ({metrics.rows} samples)"], mark="  held out   "))
+    if card.rule is not None:
+        from cyclekit.cli.train import rule_lines
+
+        lines += [bullet([text], mark="  ") for text in rule_lines(card.rule)]
     page = "\n".join([*lines, bullet(texts(card.warnings), mark="  ! ")]).rstrip()
     return "\n\n".join(part for part in (page, coupling_table(card.coupling)) if part)
 

@@ -55,7 +55,7 @@ class _Kind:
 
 Kind = Literal[
     "dataset", "model", "logs", "folder", "page", "words", "report-json", "report-csv", "estimates-json",
-    "estimates-csv", "what-if", "sequences", "table-csv", "table-parquet", "replay", "onnx", "picture", "pdf",
+    "estimates-csv", "what-if", "sequences", "table-csv", "table-parquet", "replay", "onnx", "rule", "picture", "pdf",
     "fleet", "cell", "workbook",
 ]  # fmt: skip
 _KINDS: dict[Kind, _Kind] = {
@@ -75,6 +75,7 @@ _KINDS: dict[Kind, _Kind] = {
     "table-parquet": _Kind("table", rb"cyclekit convert"),
     "replay": _Kind("recording", rb"\ARRF.{0,400}?cyclekit"),
     "onnx": _Kind("ONNX file", rb"cyclekit"),
+    "rule": _Kind("rule", rb'\A\s*\{\s*"rule":'),
     "picture": _Kind("picture", rb"written by cyclekit"),
     "cell": _Kind("note of a cell", rb'\A\s*\{\s*"stages":'),
     "fleet": _Kind("summary", rb'\A\s*\{\s*"fleet":'),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.dataset.cards import plain
 from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.words import kind_of
 from cyclekit.report import basis
 from cyclekit.report.figures import charts_of
 from cyclekit.report.provenance import provenance
@@ -18,15 +19,15 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.report.findings import Overview, Predicts
+    from cyclekit.report.findings import Overview
     from cyclekit.report.inputs import PageInputs
     from cyclekit.report.provenance import Provenance
     from cyclekit.report.texts import ReportTexts
 
 _CARD_METRICS = ("rows", "mse_mean", "mse_argmax", "mae", "bias", "accuracy")
 
-MODEL, CONSTANT, STAIRCASE = "model", "constant mean", "distance staircase"
-"""Rows of an evaluation; rows of the model begin with `model`."""
+RULE, MODEL, CONSTANT, STAIRCASE = "rule", "model", "constant mean", "distance staircase"
+"""Rows of an evaluation; rows of a network that answers begin with `model`."""
 
 _GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_outside"}
 
@@ -45,7 +46,7 @@ def section(page: PageInputs) -> dict[str, Any]:
     tables += _data_tables(texts, origin)
     return {
         "facts": _facts(texts, dataset, page.seen, origin),
-        "model": _unseen_model(texts) if page.unseen else _model(texts, model, page.judged),
+        "model": _unseen_model(texts) if page.unseen else _model(page),
         "charts": charts_of("trust", page),
         "sentences": said,
         "tables": tables,
@@ -72,12 +73,15 @@ def _unseen_model(texts: ReportTexts) -> ReportTable:
     return ReportTable(title=texts("trust.model"), text=texts("trust.model_unseen"))
 
 
-def _model(texts: ReportTexts, model: Predicts | None, judged: Mapping[str, Any]) -> ReportTable:
-    if model is None:
+def _model(page: PageInputs) -> ReportTable:
+    """What answers, a rule or a network, with its errors and those of its rivals."""
+    texts, model, judged, answers = page.texts, page.model, page.judged, page.answers
+    if model is None or answers is None:
         return ReportTable(title=texts("trust.model"), text=texts("trust.model_none"))
     rows = [
         [texts("trust.problem"), str(model.problem), ""],
-        [texts("trust.network"), str(model.network), ""],
+        *([[texts("trust.rule"), kind_of(answers.rule), ""]] if isinstance(answers, RuleSafety) else ()),
+        [texts("trust.network_beside" if isinstance(answers, RuleSafety) else "trust.network"), str(model.network), ""],
         *_judged_rows(texts, judged),
     ]
     if not judged:
@@ -113,12 +117,12 @@ def _network_and_baselines(page: PageInputs) -> list[str]:
     """Say which row the cycle times come from, and what a smaller error of a baseline means."""
     texts, check = page.texts, page.check
     errors = {str(entry.get("name")): float(entry["mse"]) for entry in page.judged.get("mse") or ()}
+    if RULE in errors:
+        return [texts("trust.made_with_rule")]
     model = errors.get(MODEL)
     rivals = {name: mse for name, mse in errors.items() if not name.startswith(MODEL)}
     if model is None or not rivals:
         return []
-    if isinstance(page.answers, RuleSafety):
-        return [texts("trust.made_with_rule")]
     found = [texts("trust.made_with")]
     best = min(rivals, key=lambda name: rivals[name])
     if rivals[best] >= model:

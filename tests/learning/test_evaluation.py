@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -13,13 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
+from cyclekit.api.export import export_model
 from cyclekit.cli import run
-from cyclekit.errors import DatasetError
+from cyclekit.errors import DatasetError, ModelError
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.comparison import better_rival, fit_thresholds
 from cyclekit.learning.networks.saved import load_model, save_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import train
+from cyclekit.report import compose_report
 from cyclekit.storage.atomic import write_parquet
 
 
@@ -192,3 +195,46 @@ def test_no_thresholds_fit_better_than_those_found(distances, scaling):
     candidates = [-np.inf, *np.sort(distance), np.inf]
     best = min(error([a, b]) for a in candidates for b in candidates if a <= b)
     assert error(found) == pytest.approx(best)
+
+
+@pytest.fixture(scope="module")
+def ruled_model(cell):
+    """A model whose rule is the true staircase; its network has learned next to nothing."""
+    learned = train(cell, ModelSpec.of(batch=256, epochs=1), rules=True)
+    assert learned.card.rule is not None
+    return learned
+
+
+def test_what_answers_is_evaluated_and_the_network_stands_beside_it(ruled_model, cell):
+    judged, alone = (
+        evaluate(each, cell, boosting=False)
+        for each in (ruled_model, replace(ruled_model, card=structs.replace(ruled_model.card, rule=None)))
+    )
+    errors = {row.name: row.mse for row in judged.mse}
+    assert [row.name for row in judged.mse][:2] == ["rule", "network"]
+    assert (judged.network, alone.network) == ("rule", ruled_model.network)
+    assert errors["rule"] == judged.metrics.mse_mean < 0.1 * alone.metrics.mse_mean
+    assert errors["network"] == pytest.approx(alone.metrics.mse_mean)
+    confusion = np.array(judged.confusion)
+    assert confusion.trace() / confusion.sum() == pytest.approx(judged.metrics.accuracy)
+    assert judged.metrics.accuracy > 0.99
+    assert judged.better is None
+    page = compose_report(cell, ruled_model, cell.path.parent / "r.md", kind="md", evaluation=judged)
+    text = page.path.read_text("utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    assert "come from the rule (row “rule”)" in text
+    assert "| Mean squared error: rule |" in text
+    assert "| Mean squared error: network |" in text
+
+
+def test_the_rule_that_answers_is_exported_and_the_network_by_its_name(ruled_model, cell, tmp_path):
+    done = export_model(ruled_model, tmp_path / "rule.json")
+    document = json.loads(done.path.read_text("utf-8"))
+    assert done.to_dict() == {"rule": str(done.path), "difference": None}
+    assert len(document["rule"]["limits"]) == len(LEVELS) - 1
+    assert document["in_words"][-1] == "speed 100 % otherwise"
+    export_model(ruled_model, tmp_path / "rule.json")  # its own file is replaced
+    with pytest.raises(ModelError, match=r"the rule .* answers for this model") as refused:
+        export_model(ruled_model, tmp_path / "model.onnx")
+    assert "--network" in refused.value.cure
+    with pytest.raises(ModelError, match="no rule answers"):
+        export_model(replace(ruled_model, card=structs.replace(ruled_model.card, rule=None)), tmp_path / "other.json")

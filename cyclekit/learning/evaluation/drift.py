@@ -15,6 +15,7 @@ import polars as pl
 from cyclekit.errors import ModelError, command_line
 from cyclekit.learning.coupling.learn import pace_before_and_after
 from cyclekit.learning.labelling import as_learned
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.learning.signal_inputs import as_learned_by, learned_rows
 from cyclekit.learning.windows import build_samples
 from cyclekit.parallel.one_thread import one_thread
@@ -155,10 +156,10 @@ def _safety(old: pl.DataFrame, new: pl.DataFrame) -> list[Shift]:
 
 
 def _errors(model: TrainedModel, frame: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
-    """Return one row per usable sample: execution, tasks, absolute error."""
+    """Return one row per usable sample: execution, tasks, absolute error of what answers (rule or network)."""
     known = frame.filter(pl.all_horizontal(pl.col(name).is_not_null() for name in (*model.inputs, "scaling")))
     rows = build_samples(known, model.problem, model.horizon_s, model.levels, rate_hz=rate_hz)
-    error = np.abs(model.predict(rows.X) - rows.scaling) if len(rows) else np.zeros(0)
+    error = np.abs(predictor_of(model).predict(rows.X) - rows.scaling) if len(rows) else np.zeros(0)
     return known.select("execution", "robot_task", "human_task").with_columns(error=pl.Series(error))
 
 

@@ -8,13 +8,13 @@ rows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cyclekit.dataset.cards import MetricsCard, plain
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.dataset.unknown_height import height_notes
+from cyclekit.dataset.unknown_height import height_notes, inputs_in_plane
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.evaluation.baselines import Rival, boosted, rivals
 from cyclekit.learning.evaluation.drift import Drift, drift
@@ -22,13 +22,14 @@ from cyclekit.learning.labelling import as_learned, without_slider
 from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
 from cyclekit.learning.networks.comparison import BOOSTED, LAST_SECOND, BetterRival, better_rival
 from cyclekit.learning.networks.kinds import NETWORKS
-from cyclekit.learning.networks.metrics import measure
+from cyclekit.learning.networks.metrics import Predictor, measure
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.out_of_core import memory_rows, some_executions
-from cyclekit.learning.rules.safety import RuleSafety, asks_signals
+from cyclekit.learning.rules.safety import RuleSafety, predictor_of
+from cyclekit.learning.rules.words import kind_of
 from cyclekit.learning.signal_inputs import as_learned_by, learned_rows
-from cyclekit.learning.windows import Samples, build_samples
+from cyclekit.learning.windows import GROUPS, Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.numbers import fixed, percent, scientific
 from cyclekit.text.results import Result
@@ -37,8 +38,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import polars as pl
+    from numpy.typing import NDArray
 
-    from cyclekit.schema import Progress
+    from cyclekit.schema import Floats, Ints, Progress
 
 
 __all__ = ["ErrorRow", "Evaluation", "LevelRow", "evaluate", "evaluate_at"]
@@ -78,11 +80,12 @@ class Evaluation(Result):
 
     Attributes:
         problem: The model's problem.
-        network: The model's network.
+        network: The model's network; `rule` if a rule answers in its place: what answers is evaluated.
         held_out: Whether these executions were held out in training.
         executions: Executions evaluated.
         metrics: Errors over all their usable rows.
-        mse: Mean squared errors, first of the model, then of the baselines: name, mse, note.
+        mse: Mean squared errors, first of what answers (`rule` or `model`), then of the network beside a rule and of
+            the baselines: name, mse, note.
         confusion: Number of rows by true (first index) and predicted level, shape (P, P); None for `average`.
         levels: One entry per level, ascending; empty for `average`.
         dropped: Number of dropped rows by reason.
@@ -149,7 +152,7 @@ def evaluate(
     other_cell: bool = False,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Evaluate `model` on executions of `dataset` that it was not trained on.
+    """Evaluate what answers for `model`, its rule or network, on executions of `dataset` that it was not trained on.
 
     If it was trained on this dataset, these are the executions held out in training, and the baselines learn from its
     training executions. Otherwise they are all executions, and there are no baselines.
@@ -180,8 +183,9 @@ def evaluate(
         msg = f"{dataset.path}: no sample can be evaluated ({why})"
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     tell(0.2, f"evaluating {len(rows)} samples")
-    metrics = measure(model, rows)
-    table, notes, better = [*_read_outs(metrics), *_by_rule(model, rows)], list[str](), None
+    answering = _Answering.of(model)
+    metrics = measure(answering, rows)
+    table, notes, better = [*_read_outs(metrics, model), *_beside_rule(model, rows)], list[str](), None
     if len(executions) < every:
         notes.append(
             f"{len(executions)} of {every} executions are evaluated, drawn at random: the memory is too small for all"
@@ -195,21 +199,23 @@ def evaluate(
         if boosting:
             others += _boosted(model, dataset, learned, rows)
         table += [ErrorRow(other.name, float(other.squared.mean()), other.note) for other in others]
-        squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
-        better = better_rival(model.card.spec, squared, {other.name: other.squared for other in others}, rows.execution)
+        squared = (answering.predict(rows.model_inputs) - rows.scaling) ** 2
+        if isinstance(answering, TrainedModel):
+            named = {other.name: other.squared for other in others}
+            better = better_rival(model.card.spec, squared, named, rows.execution)
     else:
         notes.append("not the dataset the model was trained on: all executions are evaluated, without baselines")
     tell(0.95, "evaluating levels")
-    confusion = _confusion(model, rows) if model.levels and model.problem != "average" else None
+    confusion = _confusion(answering, rows) if model.levels and model.problem != "average" else None
     return Evaluation(
         model.problem,
-        model.network,
+        answering.network,
         same,
         executions,
         metrics,
         tuple(table),
         None if confusion is None else tuple(tuple(int(count) for count in row) for row in confusion),
-        () if confusion is None else _per_level(model, rows, confusion),
+        () if confusion is None else _per_level(answering, rows, confusion),
         dict(rows.dropped),
         tuple(notes),
         better,
@@ -279,34 +285,71 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: Sequence[str], *, l
     return build_samples(frame, *where, rate_hz=dataset.rate_hz, allow=known, history=history, past=past)
 
 
-def _read_outs(metrics: MetricsCard) -> list[ErrorRow]:
-    rows = [
-        ErrorRow(
-            "model", metrics.mse_mean, "best estimate: mean of the levels weighted by their probabilities, or the value"
-        )
-    ]
+@dataclass(frozen=True)
+class _Answering:
+    """The rule of a model, evaluated on the rows and the levels of its network."""
+
+    rule: RuleSafety
+    model: TrainedModel
+    network: str = "rule"
+
+    @classmethod
+    def of(cls, model: TrainedModel) -> _Answering | TrainedModel:
+        """Return what answers for a model: its rule if there is one that can be evaluated, else itself."""
+        found = predictor_of(model)
+        return cls(found, model) if isinstance(found, RuleSafety) else model
+
+    @property
+    def problem(self) -> str:
+        return self.model.problem
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        return self.model.levels
+
+    def predict(self, X: NDArray[np.floating[Any]]) -> Floats:
+        """Return the scaling, shape (N,), of rows (N, F), or of the last ones of (N, K, F)."""
+        rows = inputs_in_plane(X if X.ndim == 2 else X[:, -1])
+        found, alone = self.rule.predict(rows).astype(np.float64), self.model.card.scaling_without_operator
+        if alone is not None and not self.model.card.operator_signals:
+            found[np.isnan(rows[:, GROUPS["human"]]).any(axis=1)] = alone
+        return found
+
+    def steps(self, X: NDArray[np.floating[Any]]) -> Ints:
+        """Return the number of the level nearest to the scaling, shape (N,)."""
+        levels = np.array(self.levels)
+        return np.searchsorted((levels[1:] + levels[:-1]) / 2, self.predict(X)).astype(np.int64)
+
+
+def _read_outs(metrics: MetricsCard, model: TrainedModel) -> list[ErrorRow]:
+    """Return the errors of what answers."""
+    rule = model.card.rule
+    if rule is not None and isinstance(predictor_of(model), RuleSafety):
+        return [ErrorRow("rule", metrics.mse_mean, f"answers: {kind_of(rule)}")]
+    return _of_network("model", metrics)
+
+
+def _beside_rule(model: TrainedModel, rows: Samples) -> list[ErrorRow]:
+    """Return the errors of a network in whose place a rule answers."""
+    return _of_network("network", measure(model, rows)) if isinstance(predictor_of(model), RuleSafety) else []
+
+
+def _of_network(name: str, metrics: MetricsCard) -> list[ErrorRow]:
+    note = "best estimate: mean of the levels weighted by their probabilities, or the value"
+    rows = [ErrorRow(name, metrics.mse_mean, note)]
     if metrics.mse_argmax is not None:
-        rows.append(ErrorRow("model, most likely step", metrics.mse_argmax, "the level of the most likely step"))
+        rows.append(ErrorRow(f"{name}, most likely step", metrics.mse_argmax, "the level of the most likely step"))
     return rows
 
 
-def _by_rule(model: TrainedModel, rows: Samples) -> list[ErrorRow]:
-    """Return the error of a rule on signals."""
-    rule = model.card.rule
-    if rule is None or not asks_signals(rule):
-        return []
-    error = RuleSafety(rule, model.card).predict(rows.X) - rows.scaling
-    return [ErrorRow("rule", float(np.mean(error**2)), "rule on signals, used in place of the network")]
-
-
-def _confusion(model: TrainedModel, rows: Samples) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+def _confusion(model: Predictor, rows: Samples) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
     count, known = len(model.levels), rows.step >= 0
     cell = rows.step[known].astype(np.int64) * count + model.steps(rows.where(known).model_inputs)
     return np.bincount(cell, minlength=count**2).reshape(count, count)
 
 
 def _per_level(
-    model: TrainedModel, rows: Samples, confusion: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+    model: Predictor, rows: Samples, confusion: np.ndarray[tuple[int, int], np.dtype[np.int64]]
 ) -> tuple[LevelRow, ...]:
     error = model.predict(rows.model_inputs) - rows.scaling
     true, named, right = confusion.sum(axis=1), confusion.sum(axis=0), confusion.diagonal()

@@ -8,28 +8,55 @@ likely level does not change.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from cyclekit.dataset.cards import MetricsCard
 from cyclekit.learning.networks.kinds import is_classifier
+from cyclekit.learning.networks.saved import TrainedModel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.windows import Samples
-    from cyclekit.schema import Singles
+    from cyclekit.schema import Floats, Ints, Singles
 
 MUCH_UNEXPLAINED = 0.25
 """Share of unexplained variance of the scaling above which a model's error counts as large."""
 
 
-def measure(model: TrainedModel, samples: Samples) -> MetricsCard:
-    """Return the metrics of `model` on held-out rows; `samples` must be of its problem and not empty."""
+class Predictor(Protocol):
+    """What is measured: a network, or a rule in its place."""
+
+    @property
+    def problem(self) -> str:
+        """Problem that it answers."""
+        ...
+
+    @property
+    def network(self) -> str:
+        """Name of the network, or `rule`."""
+        ...
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Levels of the speed scaling, ascending."""
+        ...
+
+    def predict(self, X: NDArray[np.floating], /) -> Floats:
+        """Scaling (N,) of the model's inputs."""
+        ...
+
+    def steps(self, X: NDArray[np.floating], /) -> Ints:
+        """Number of the level (N,) of the model's inputs."""
+        ...
+
+
+def measure(model: Predictor, samples: Samples) -> MetricsCard:
+    """Return the metrics of a predictor on held-out rows; `samples` must be of its problem and not empty."""
     X, on_level = samples.model_inputs, samples.step >= 0
     error = model.predict(X) - samples.scaling
     mse_argmax = accuracy = calibration = None
@@ -38,7 +65,7 @@ def measure(model: TrainedModel, samples: Samples) -> MetricsCard:
         mse_argmax = float(np.mean((np.array(model.levels)[step] - samples.scaling) ** 2))
         if on_level.any():
             accuracy = float(np.mean(step[on_level] == samples.step[on_level]))
-            if is_classifier(model.network):
+            if isinstance(model, TrainedModel) and is_classifier(model.network):
                 calibration = reliability(model.probabilities(X)[on_level], samples.step[on_level]).error
     return MetricsCard(
         rows=len(samples),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.learning.rules.safety import RuleSafety, asks_signals
 from cyclekit.report.calibration import calibration
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.pictures import Picture
@@ -50,7 +51,10 @@ def _calibration(page: PageInputs) -> Iterator[Chart]:
     from cyclekit.report import maps
 
     texts = page.texts
-    found = calibration(page.samples, page.judged.get("executions") or (), page.model)
+    answers = page.answers
+    if isinstance(answers, RuleSafety) and asks_signals(answers.rule):
+        return
+    found = calibration(page.samples, page.judged.get("executions") or (), answers)
     if found is None:
         return
     labels = {"logged": texts("trust.mean_logged"), "predicted": texts("trust.mean_predicted")}

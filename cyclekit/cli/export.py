@@ -20,7 +20,7 @@ def export(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write what answers for a model: a network as ONNX, a rule as JSON.
+    """Write what answers: a rule as JSON, a network as ONNX.
 
     An ONNX file is checked against cyclekit's own prediction if onnxruntime is installed.
     """

@@ -32,6 +32,7 @@ from cyclekit.estimate.limits import (
 )
 from cyclekit.estimate.operator.tracks import OperatorTracks
 from cyclekit.estimate.ranked import Unranked, ranked
+from cyclekit.estimate.repeats import robot_order, robot_repeats, with_repeats
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.robot.program import Program, lay_out
 from cyclekit.estimate.robot.signal_states import on_states_of
@@ -119,7 +120,8 @@ def estimate(
                 ask, some, validate=validate, other_cell=other_cell, refuse=refused or _raised, tell=tell
             )
         done += len(some)
-    return ranked(found)
+    repeats = robot_repeats(dataset) if found else ()
+    return ranked([one._replace(entry=with_repeats(one.entry, repeats, robot_order(one.entry))) for one in found])
 
 
 def _estimate_robot(

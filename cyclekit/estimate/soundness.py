@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.robot.safety import OnStates
+from cyclekit.estimate.validation.several import several_found
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -55,6 +56,8 @@ def findings_of(
         validated: Why there is no `check`; None if nobody expects one.
     """
     found = [] if dataset is None else [*findings_of_logs(dataset, model), *_people(model, executions)]
+    if dataset is not None and not isinstance(model, OnStates):
+        found += several_found(dataset)
     if check is not None:
         found += check.findings
     elif validated is not None:

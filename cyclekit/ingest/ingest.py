@@ -53,6 +53,7 @@ from cyclekit.ingest.restarts import divide_restarted
 from cyclekit.ingest.shared_logs import may_be_shared, split_shared
 from cyclekit.learning.coupling.events.logged_visits import courses_of
 from cyclekit.learning.coupling.learn import learn_executions
+from cyclekit.learning.coupling.several_people import several_people
 from cyclekit.learning.coupling.waits import with_waits_named
 from cyclekit.learning.coupling.words import contradicted
 from cyclekit.parallel.engine import LOCAL, Engine
@@ -284,11 +285,13 @@ def _empty_people(logs: Sequence[Log], read: Sequence[LogCard], failed: Sequence
 
 
 def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tuple[pl.DataFrame, CouplingCard | None]:
-    """Return table TASKS with its waits, and the learned wait conditions.
+    """Return table TASKS with its waits, and the learned wait conditions; None where several people are taken for one.
 
     If an agent waits for the other, an execution ends when both are done, so the operator's tasks after the robot's
     last one are included.
     """
+    if several_people(derived.recordings):
+        return derived.tasks, None
     tasks, bits = derived.tasks, partial(logged_bits, stored=stored)
     fields = [name for one in derived.operator_signals for name in (one.signal, one.reset) if name]
     courses = courses_of(derived.executions, tasks, derived.recordings, read, bits, fields, cell.goal_signals)

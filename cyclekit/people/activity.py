@@ -139,6 +139,7 @@ class SessionPeople:
         """
         self._logs, self._events = _operator_logs(session, sources, read, cell.goal_signals)
         self._tracks = [track for log in self._logs for track in log.tracks]
+        self._several = 0
         self._counts = [np.zeros(len(REASONS), np.int64) for _ in self._logs]
         self._cell, self._nobody_logged = cell, session.nobody_logged
 
@@ -153,7 +154,8 @@ class SessionPeople:
         found = [gap_reasons(log.tracks, t_s, log.recording.span_s, bridge_s=bridge_s) for log in self._logs]
         for counts, reasons in zip(self._counts, found, strict=True):
             counts += np.bincount(reasons, minlength=len(REASONS))
-        human_m = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
+        human_m, several = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
+        self._several += int(several.sum())
         goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
         if self._nobody_logged and not found:
             found = [np.full(len(t_s), REASONS.index("outside"), np.int8)]
@@ -176,7 +178,7 @@ class SessionPeople:
         if count <= 0:
             return seen.standstills, last_s
         more_s = last_s + np.arange(1, count + 1) / rate_hz
-        more_m = nearest_person(
+        more_m, _ = nearest_person(
             self._tracks, more_s, np.tile(tcp_m[-1], (count, 1)), bridge_s=self._cell.bridge_s, width_s=1.0 / rate_hz
         )
         whole_s, whole_m = np.concatenate([t_s, more_s]), np.concatenate([seen.human_m, more_m])
@@ -189,10 +191,13 @@ class SessionPeople:
         return [log.silence for log in self._logs] + [empty] * (self._nobody_logged and not self._logs)
 
     def cards(self) -> dict[str, OperatorCard]:
-        """Return per recording the number of samples with a visible operator, and of the others by reason."""
+        """Return per recording the number of samples with a visible operator, with several, and of the others."""
         return {
             log.recording.id: OperatorCard(
-                not_believed=log.not_believed, warnings=log.warnings, **dict(zip(REASONS, counts.tolist(), strict=True))
+                not_believed=log.not_believed,
+                several=self._several,
+                warnings=log.warnings,
+                **dict(zip(REASONS, counts.tolist(), strict=True)),
             )
             for log, counts in zip(self._logs, self._counts, strict=True)
         }

@@ -1,9 +1,9 @@
 """The operator's position per sample, from the tracks of a session, and his goals.
 
-Of several people, the one nearest to the TCP is x_h. Only short gaps in a track are bridged; ids that change with every
-frame are replaced by linking positions by motion; implausible jumps are removed. Goals come from a button log if there
-is one, otherwise from the operator's standstills; the latter are marked as inferred. Frames and clocks are aligned
-before.
+Of several people, the one nearest to the TCP is x_h; the samples with several are counted. Only short gaps in a track
+are bridged; ids that change with every frame are replaced by linking positions by motion; implausible jumps are
+removed. Goals come from a button log if there is one, otherwise from the operator's standstills; the latter are marked
+as inferred. Frames and clocks are aligned before.
 """
 
 from __future__ import annotations
@@ -244,21 +244,23 @@ def gap_reasons(
 
 def nearest_person(
     tracks: Sequence[PersonTrack], t_s: Vector, tcp_m: Points, *, bridge_s: float, width_s: float = 0.0
-) -> Points:
+) -> tuple[Points, Bools]:
     """Return x_h at each time, shape (N, 3), m: position of the person nearest to the TCP, NaN = nobody seen.
 
-    If the TCP is unknown, the first person seen counts. See `at_times` for `bridge_s` and `width_s`.
+    Also return when people are seen more than PLACE_M apart, shape (N,): nearer tracks may be of one body. If the TCP
+    is unknown, the first person seen counts. See `at_times` for `bridge_s` and `width_s`.
     """
     best = np.full((len(t_s), 3), np.nan)
-    distance = np.full(len(t_s), np.inf)
+    distance, several = np.full(len(t_s), np.inf), np.zeros(len(t_s), bool)
     for track in tracks:
         here = at_times(track, t_s, bridge_s=bridge_s, width_s=width_s)
+        several |= np.linalg.norm((here - best)[:, :2], axis=1) > PLACE_M  # NaN compares false
         offset = np.where(np.isfinite(tcp_m), here - tcp_m, 0.0)
         offset[~np.isfinite(here[:, 2]), 2] = 0.0
         far = np.linalg.norm(offset, axis=1)
         better = np.isfinite(here[:, 0]) & (far < distance)
         best[better], distance[better] = here[better], far[better]
-    return best
+    return best, several
 
 
 def goals_from_events(t_event_s: Vector, values: Sequence[str], t_s: Vector) -> list[str | None]:

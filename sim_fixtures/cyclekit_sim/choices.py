@@ -19,7 +19,7 @@ from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import BUILT_IN, GOAL_SD_M, MIDDLE_SD_M, Scene
 from cyclekit_sim.walking import Leg, Press, away, stand, walk
 
-ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING, PARTS, COUPLING, SOURCE = range(10)
+ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING, PARTS, COUPLING, SOURCE, HELPER, REPEATS = range(12)
 LOGGED, FRESH = range(2)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cyclekit_sim.arm import Array
 from cyclekit_sim.choices import FRESH, LOGGED, ROBOT, SEQUENCE, stream
-from cyclekit_sim.coupled_program import Order, check_order, order_beside, plan_all, random_order
+from cyclekit_sim.coupled_program import Order, check_order, order_beside, people_of, plan_all, random_order
 from cyclekit_sim.coupled_run import CoupledTrace, make_cell, run_cells
 from cyclekit_sim.coupled_scenes import COUPLED, Coupled, wired
 from cyclekit_sim.errors import SimulationError
@@ -184,7 +184,8 @@ def fresh_cycles(
         ]
         done += run_cells(cell, cells, table, options)[0]
     waits = ([each.waited_s(agent) for each in done] for agent in ("robot", "operator"))
-    robot_s = np.array([each.ends_s["robot"][-2] for each in done])  # the last segment is its idle stay at home
+    idle = len(people_of(cell))  # the last segments are its idle stays at home until each person is done
+    robot_s = np.array([each.ends_s["robot"][-1 - idle] for each in done])
     return FreshCycles(np.array([each.duration_s for each in done]), robot_s, *(np.array(each) for each in waits))
 
 

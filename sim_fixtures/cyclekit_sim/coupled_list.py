@@ -13,16 +13,23 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import polars as pl
 
-from cyclekit_sim.coupled_program import Order, Script, operator_script, plan_all, robot_script
+from cyclekit_sim.coupled_program import (
+    Order,
+    Script,
+    agents_of,
+    operator_script,
+    people_of,
+    plan_all,
+    robot_script,
+)
 from cyclekit_sim.coupled_run import coupled_runs
-from cyclekit_sim.coupled_scenes import REST
-from cyclekit_sim.program import HOME, IDLE
+from cyclekit_sim.program import IDLE
 
 if TYPE_CHECKING:
     from cyclekit_sim.coupled_scenes import Coupled
     from cyclekit_sim.session import Session
 
-NAMES = {"robot": "arm", "operator": "worker"}
+NAMES = {"robot": "arm", "operator": "worker", "helper": "helper"}
 """Names of the agents in the list."""
 PART = "part"
 """What a task waits for that begins with a part of the conveyor."""
@@ -42,8 +49,8 @@ def task_list(session: Session, cell: Coupled) -> pl.DataFrame:
     rows = []
     for trace, begin_s in coupled_runs(session):
         run = f"{trace.program.executions[0].index:04d}"
-        for agent, name in NAMES.items():
-            ends_s = trace.done.ends_s[agent]
+        for agent in ("robot", *people_of(cell)):
+            ends_s, name = trace.done.ends_s[agent], NAMES[agent]
             for task in tasks_of(cell, agent, trace.done.cell.scripts[agent]):
                 start_s = ends_s[task.first - 1] if task.first else 0.0
                 at_s = EPOCH_S + 1e4 * session.index + begin_s
@@ -54,7 +61,8 @@ def task_list(session: Session, cell: Coupled) -> pl.DataFrame:
 
 def tasks_of(cell: Coupled, agent: str, script: Script) -> list[Listed]:
     """Return the script of an agent split into tasks."""
-    jobs = _jobs(cell.robot_jobs if agent == "robot" else cell.operator_jobs, script.execution.places[1:])
+    of_agent = {"robot": cell.robot_jobs, "operator": cell.operator_jobs, "helper": cell.helper_jobs}[agent]
+    jobs = _jobs(of_agent, script.execution.places[1:])
     gates = {segment: gate for segment, gate, _ in script.gates}
     needs = {(gate.need.place, gate.need.moment) for gate in cell.gates if gate.need.agent == agent}
     closing = {segment for key in needs for segment in script.moments[key]}
@@ -102,22 +110,22 @@ def _scripts(cell: Coupled, order: Order) -> dict[str, Script]:
     table = plan_all(cell, [order])
     return {
         "robot": robot_script(cell, order["robot"], table, 0),
-        "operator": operator_script(cell, order["operator"], 0, rng),
+        **{who: operator_script(cell, order[who], 0, rng, who=who) for who in people_of(cell)},
     }
 
 
 def task_plan(cell: Coupled, order: Order) -> list[tuple[str, str]]:
     """Return agent and task, as named in the list, of all tasks of an order."""
     scripts = _scripts(cell, order)
-    return [(name, task.name) for agent, name in NAMES.items() for task in tasks_of(cell, agent, scripts[agent])]
+    return [(NAMES[agent], task.name) for agent in scripts for task in tasks_of(cell, agent, scripts[agent])]
 
 
 def _every_job(cell: Coupled) -> Order:
     """Return an order with each job once, as a random one need not go to all fixtures."""
-    robot, operator = (
-        [place for places in jobs.values() for place in places] for jobs in (cell.robot_jobs, cell.operator_jobs)
-    )
-    return {"robot": (HOME, *robot, HOME), "operator": (REST, *operator, REST)}
+    return {
+        agent: (end, *(place for places in jobs.values() for place in places), end)
+        for agent, jobs, end in agents_of(cell)
+    }
 
 
 def listed_conditions(cell: Coupled) -> list[dict[str, object]]:

@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 
 from cyclekit_sim.arm import Array
 from cyclekit_sim.choices import draw_goal, draw_walk
-from cyclekit_sim.coupled_scenes import JOINT_TIMES, LINGER_S, REST, Coupled, Gate, Moment, Need
+from cyclekit_sim.coupled_scenes import HELPER_REST, JOINT_TIMES, LINGER_S, REST, Coupled, Gate, Moment, Need
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import MotionTable, plan_moves
 from cyclekit_sim.program import DWELL, HOME, IDLE, MOVE, WAIT, Column, Execution, Program, program_of
 from cyclekit_sim.walking import Leg, stand
 
 Order = dict[str, tuple[str, ...]]
-"""Places of each agent in order: `robot` from home to home, `operator` from rest to rest."""
-AGENTS = ("robot", "operator", "source")
+"""Places of each agent in order: `robot` from home to home, `operator` and `helper` from and to those of PEOPLE."""
+AGENTS = ("robot", "operator", "helper", "source")
+PEOPLE = {"operator": REST, "helper": HELPER_REST}
+"""Where each person begins and ends."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,8 @@ def plan_all(cell: Coupled, orders: Sequence[Order]) -> MotionTable:
     """Plan all moves of these orders, including those via the stop short of a place."""
     pairs = set()
     for order in orders:
-        for start, goal in pairwise(order["robot"]):
+        again = [(place, place) for place in cell.repeats if place in order["robot"]]
+        for start, goal in [*pairwise(order["robot"]), *again]:
             via = [_short(goal)] if goal in cell.short_of else []
             pairs |= set(pairwise([start, *via, goal]))
     places = dict(cell.scene.places) | {_short(name): place for name, place in cell.short_of.items()}
@@ -108,6 +111,7 @@ def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index
     closed = 0
     for task, (start, goal) in enumerate(pairwise(places)):
         at = start
+        closed = 1 - closed if start == goal else closed  # it failed: the gripper is as before
         if goal in cell.short_of:
             at = _short(goal)
             row = _move(script, table, (start, at), task, goal, closed)
@@ -118,8 +122,20 @@ def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index
             script.add_gates(_gates(cell, "robot", "work", goal), row, task, goal, closed)
             script.moments[goal, "leaves"].append(script.add(DWELL, cell.robot_s[goal], row, 0.0, task, goal, closed))
             closed = 1 - closed
-    script.add(IDLE, 0.0, row, 0.0, -1, places[-1], closed)
+    for _ in people_of(cell):
+        script.add(IDLE, 0.0, row, 0.0, -1, places[-1], closed)
     return script
+
+
+def people_of(cell: Coupled) -> list[str]:
+    """Return the people of a cell."""
+    return list(PEOPLE) if cell.helper_jobs else ["operator"]
+
+
+def with_repeats(cell: Coupled, places: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:
+    """Return the robot's places, each as often in a row as its process is done until it succeeds."""
+    often = [int(rng.geometric(1.0 - cell.repeats[place])) if place in cell.repeats else 1 for place in places]
+    return tuple(place for place, times in zip(places, often, strict=True) for _ in range(times))
 
 
 def _move(script: Script, table: MotionTable, pair: tuple[str, str], task: int, goal: str, closed: int) -> int:
@@ -130,14 +146,14 @@ def _move(script: Script, table: MotionTable, pair: tuple[str, str], task: int, 
 
 
 def operator_script(
-    cell: Coupled, places: Sequence[str], index: int, rng: np.random.Generator, pace: float = 1.0
+    cell: Coupled, places: Sequence[str], index: int, rng: np.random.Generator, pace: float = 1.0, who: str = "operator"
 ) -> Script:
-    """Return the operator's script; rows refer to the consecutive legs. Walks and work take `pace` times as long."""
+    """Return the script of a person; rows refer to the consecutive legs. Walks and work take `pace` times as long."""
     script, stations = Script(Execution(index, tuple(places), ())), cell.scene.stations
     here = draw_goal(cell.scene, places[0], rng)
     _stay(script, here, pace * float(rng.uniform(*stations[places[0]].dwell_s)), -1, places[0])
     for task, place in enumerate(places[1:]):
-        for gate in _gates(cell, "operator", "approach", place):
+        for gate in _gates(cell, who, "approach", place):
             script.add_gates([gate], _rows(script), max(task - 1, 0), places[task])
             script.legs.append(stand(here, 0.0))
         there = draw_goal(cell.scene, place, rng)
@@ -148,8 +164,8 @@ def operator_script(
         script.moments[place, "arrives"].append(number)
         script.legs.append(leg)
         here = there
-        if place != REST:
-            for gate in _gates(cell, "operator", "work", place):
+        if place != PEOPLE[who]:
+            for gate in _gates(cell, who, "work", place):
                 script.add_gates([gate], _rows(script), task, place)
                 script.legs.append(stand(here, 0.0))
             work_s = pace * float(rng.uniform(*stations[place].dwell_s))
@@ -192,7 +208,7 @@ def link(
 ) -> dict[str, list[Opening]]:
     """Return what opens each gate of one execution; `waits`: whether they wait in each joint task (JOINT_TIMES,)."""
     found: dict[str, list[Opening]] = {agent: [] for agent in AGENTS}
-    for agent in ("robot", "operator"):
+    for agent in ("robot", *people_of(cell)):
         for segment, gate, passage in scripts[agent].gates:
             need = gate.need
             moments = scripts[need.agent].moments[need.place, need.moment]
@@ -200,8 +216,9 @@ def link(
             closed = 0 <= turn < len(moments) and bool(waits[passage % JOINT_TIMES])
             needs, needed = (need.agent, moments[turn]) if closed else (None, -1)
             found[agent].append(Opening(segment, gate, needs, needed, lag_s))
-    done = len(scripts["operator"].columns) - 1
-    found["robot"].append(Opening(len(scripts["robot"].columns) - 1, None, "operator", done, 0.0))
+    for number, who in enumerate(reversed(people_of(cell)), 1):
+        done = len(scripts[who].columns) - 1
+        found["robot"].append(Opening(len(scripts["robot"].columns) - number, None, who, done, 0.0))
     if cell.feed is not None:
         taken = scripts["robot"].moments[cell.feed.place, "leaves"]
         for part, segment in enumerate(scripts["source"].moments[cell.feed.place, "arrives"]):
@@ -217,10 +234,16 @@ def random_order(cell: Coupled, rng: np.random.Generator) -> Order:
     while True:
         found = {
             agent: (end, *(place for name in _shuffled(jobs, cell.joint, chosen, rng) for place in jobs[name]), end)
-            for agent, jobs, end in (("robot", cell.robot_jobs, HOME), ("operator", cell.operator_jobs, REST))
+            for agent, jobs, end in agents_of(cell)
         }
         if cell.joint == 1 or _ends(cell, found):
             return found
+
+
+def agents_of(cell: Coupled) -> list[tuple[str, Mapping[str, tuple[str, ...]], str]]:
+    """Return name, jobs, and first and last place of each agent."""
+    people = {"operator": cell.operator_jobs, "helper": cell.helper_jobs}
+    return [("robot", cell.robot_jobs, HOME), *((who, people[who], PEOPLE[who]) for who in people_of(cell))]
 
 
 def order_beside(cell: Coupled, robot: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:
@@ -267,7 +290,7 @@ def check_order(cell: Coupled, order: Order) -> None:
     Raises:
         SimulationError: The order is invalid.
     """
-    known = {"robot": (HOME, cell.scene.places), "operator": (REST, cell.scene.stations)}
+    known = {"robot": (HOME, cell.scene.places)} | {who: (PEOPLE[who], cell.scene.stations) for who in people_of(cell)}
     for agent, (end, names) in known.items():
         places = order.get(agent, ())
         if unknown := sorted(set(places) - set(names)):

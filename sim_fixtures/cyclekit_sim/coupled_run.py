@@ -1,7 +1,7 @@
-"""Parallel simulation of robot, operator and part source: each gate opens when its condition has ended.
+"""Parallel simulation of robot, people and part source: each gate opens when its condition has ended.
 
-The robot moves at the scaling that the safety function allows at the operator's position in the same cycle; the others
-continue at rate 1. The agents of all cells are the rows of one `ProgramState`: robots, then operators, then sources.
+The robot moves at the scaling that the safety function allows at the position of the nearest person in the same cycle;
+the others continue at rate 1. The agents of all cells are the rows of one `ProgramState`, in the order of AGENTS.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cyclekit_sim.arm import Array
-from cyclekit_sim.choices import COUPLING, OPERATOR, SOURCE, stream
+from cyclekit_sim.choices import COUPLING, HELPER, OPERATOR, REPEATS, SOURCE, stream
 from cyclekit_sim.coupled_program import (
     AGENTS,
     Opening,
@@ -21,15 +21,17 @@ from cyclekit_sim.coupled_program import (
     at_row,
     link,
     operator_script,
+    people_of,
     robot_script,
     source_script,
+    with_repeats,
 )
 from cyclekit_sim.coupled_scenes import JOINT_TIMES, Coupled, Moment
 from cyclekit_sim.engine import Arms, Trace, table_rows
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
-from cyclekit_sim.program import Ints, Program
+from cyclekit_sim.program import IDLE, Execution, Ints, Program
 from cyclekit_sim.program_state import ProgramState
 from cyclekit_sim.safety import SpeedScaling
 from cyclekit_sim.session import Session
@@ -121,10 +123,15 @@ def make_cell(
 
     parts = 0 if cell.feed is None else order["robot"].count(cell.feed.place)
     scripts = {
-        "robot": robot_script(cell, order["robot"], table, index),
+        "robot": robot_script(cell, with_repeats(cell, order["robot"], drawn(REPEATS)), table, index),
         "operator": operator_script(cell, order["operator"], index, drawn(OPERATOR), pace),
+        "helper": Script(Execution(index, (), ())),
         "source": source_script(cell, parts, index, drawn(SOURCE)),
     }
+    if cell.helper_jobs:
+        scripts["helper"] = operator_script(cell, order["helper"], index, drawn(HELPER), pace, "helper")
+    else:
+        scripts["helper"].add(IDLE, 0.0, 0, 0.0, -1, "")
     rng = drawn(COUPLING)
     return Cell(scripts, link(cell, scripts, rng.random(JOINT_TIMES) < coupling, rng))
 
@@ -156,10 +163,10 @@ class _Gates:
 
 
 class _People:
-    """Paths of B operators in one table of positions."""
+    """Paths of one person in each of B cells in one table of positions."""
 
-    def __init__(self, cells: Sequence[Cell]) -> None:
-        ways = [np.concatenate([leg.xyz_m for leg in cell.scripts["operator"].legs]) for cell in cells]
+    def __init__(self, cells: Sequence[Cell], who: str) -> None:
+        ways = [np.concatenate([leg.xyz_m for leg in cell.scripts[who].legs]) for cell in cells]
         self.first_row = np.concatenate([[0], np.cumsum([len(way) for way in ways])])
         self._xyz_m = np.concatenate(ways)
         self._step = np.diff(self._xyz_m, axis=0, append=self._xyz_m[-1:])
@@ -184,22 +191,26 @@ def run_cells(
     Raises:
         SimulationError: An agent never finishes.
     """
-    people, count = _People(cells), len(cells)
+    people, count = {AGENTS.index(who): _People(cells, who) for who in people_of(cell)}, len(cells)
     columns = list(zip(*(each.programs() for each in cells), strict=True))
-    operators = [at_row(program, int(row)) for program, row in zip(columns[1], people.first_row[:-1], strict=True)]
-    state = ProgramState([*columns[0], *operators, *columns[2]], options.cycle_s)
+    for a, ways in people.items():
+        columns[a] = tuple(at_row(one, int(row)) for one, row in zip(columns[a], ways.first_row[:-1], strict=True))
+    state = ProgramState([one for column in columns for one in column], options.cycle_s)
     gates, arms = _Gates(cells, state.ends_s.shape[1]), Arms(table)
-    scaling, ones = SpeedScaling(cell.scene.safety, options), np.ones(2 * count)
+    scaling, ones = SpeedScaling(cell.scene.safety, options), np.ones((len(AGENTS) - 1) * count)
     records: list[tuple[Array, Array, Ints]] = []
-    robots, persons, cycle = slice(0, count), slice(count, 2 * count), 0
+    robots, cycle = slice(0, count), 0
     while state.running.any():
         t_s = cycle * options.cycle_s
         if t_s > _LONGEST_S:
             raise SimulationError(f"{cell.scene.name}: an agent is not done after {_LONGEST_S:.0f} s")
         u, segment = state.nominal_s, state.segment
-        person_m = people.at(state.row[persons], u[persons], state.rows_per_s[persons])
         row, way = table_rows(state.row[robots], u[robots], state.rows_per_s[robots])
-        s = scaling.advance(arms.seen(row, way, person_m))
+        persons_m = []
+        for a, ways in people.items():
+            mine = slice(a * count, (a + 1) * count)
+            persons_m.append(ways.at(state.row[mine], u[mine], state.rows_per_s[mine]))
+        s = scaling.advance(arms.seen(row, way, _nearest(persons_m, arms.seen(row, way, persons_m[0]).tcp_m)))
         gates.open(state)
         state.advance(t_s, np.concatenate([s, ones]), 1.0)
         cycle += 1
@@ -209,6 +220,15 @@ def run_cells(
             progress(state.share_done)
     done = [_done(each, state, b, count) for b, each in enumerate(cells)]
     return done, _traces(cell, done, records, options) if logged else []
+
+
+def _nearest(persons_m: Sequence[Array], tcp_m: Array) -> Array:
+    """Return the position of the person nearest to the TCP in each of B cells, shape (B, 3), m."""
+    if len(persons_m) == 1:
+        return persons_m[0]
+    every_m = np.stack(persons_m)
+    nearest = np.linalg.norm(every_m - tcp_m, axis=2).argmin(axis=0)
+    return np.asarray(every_m[nearest, np.arange(len(nearest))])
 
 
 def _done(cell: Cell, state: ProgramState, b: int, count: int) -> Done:
@@ -227,10 +247,12 @@ def _traces(
     for b, each in enumerate(done):
         ends_s = each.ends_s["robot"]
         n = int(np.ceil(ends_s[-1] / options.cycle_s - 1e-9))
-        program, ways = realised(each, "robot"), _track(each)
+        program, ways = realised(each, "robot"), [_track(each, who) for who in people_of(cell)]
         at_s, s, of = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].astype(np.int64)
         inputs = _inputs(cell, each, n, options) if options.signals and cell.bits else None
-        found.append(CoupledTrace(program, ways, at_s, s, of, ends_s, options.cycle_s, inputs=inputs, done=each))
+        mine = (at_s, s, of, ends_s, options.cycle_s)
+        others = tuple(ways[1:])
+        found.append(CoupledTrace(program, ways[0], *mine, inputs=inputs, others=others, done=each))
     return found
 
 
@@ -255,9 +277,9 @@ def realised(done: Done, agent: str) -> Program:
     return replace(program, length_s=length_s)
 
 
-def _track(done: Done) -> WalkedTrack:
-    """Return the operator's track: the legs, with the actual waits at gates."""
-    script, program = done.cell.scripts["operator"], realised(done, "operator")
+def _track(done: Done, who: str) -> WalkedTrack:
+    """Return the track of a person: the legs, with the actual waits at gates."""
+    script, program = done.cell.scripts[who], realised(done, who)
     gates = {segment for segment, _, _ in script.gates}
     legs = []
     for at, leg in enumerate(script.legs):

@@ -2,13 +2,13 @@
 
 In every execution each agent does three joint tasks and four separate ones, in any order; the k-th joint task of one
 belongs to the k-th of the other, in a cell of several fixtures the k-th at each fixture. Geometry and times are ours,
-tuned for cycles of 45 to 60 s.
+tuned for cycles of 45 to 60 s. In one cell a second person, the helper, works too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from cyclekit_sim.motion import Place
@@ -27,14 +27,14 @@ class Need:
     """Condition of a gate: for its k-th passage the (k - back)-th such event; none if that is negative.
 
     Attributes:
-        agent: Agent of the event, which may be the waiting one; `source` = the conveyor.
+        agent: Agent of the event, which may be the waiting one; `helper` = the second person, `source` = the conveyor.
         place: Place of the event.
         moment: The agent arrives there, has done the work there, or leaves.
         back: See above.
         lag_s: Range of the time from the event until the waiting agent continues, s.
     """
 
-    agent: Literal["robot", "operator", "source"]
+    agent: Literal["robot", "operator", "helper", "source"]
     place: str
     moment: Moment
     back: int
@@ -45,7 +45,7 @@ class Need:
 class Gate:
     """A point where an agent waits: before going to `place` (`approach`) or before its work there (`work`)."""
 
-    agent: Literal["robot", "operator"]
+    agent: Literal["robot", "operator", "helper"]
     at: Literal["approach", "work"]
     place: str
     need: Need
@@ -68,7 +68,7 @@ class Feed:
 
 @dataclass(frozen=True)
 class Coupled:
-    """One cell of two agents that wait.
+    """One cell of agents that wait.
 
     Attributes:
         scene: Places, stations, furniture and safety function.
@@ -79,6 +79,8 @@ class Coupled:
         signals: (agent, place, moment) -> name of the signal that shows it.
         feed: Supply of parts, if any.
         joint: Number of joint tasks of each agent; three are done, each any of these.
+        helper_jobs: As `operator_jobs`, of a second person; none: there is none.
+        repeats: Robot place -> probability that its process fails there: the robot backs off and does it again.
     """
 
     scene: Scene
@@ -90,6 +92,8 @@ class Coupled:
     signals: Mapping[tuple[str, str, Moment], str]
     feed: Feed | None = None
     joint: int = 1
+    helper_jobs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    repeats: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def bits(self) -> dict[str, int]:
@@ -98,7 +102,7 @@ class Coupled:
         return {INPUT + number: int(number) for number in names}
 
 
-REST = "rest"
+REST, HELPER_REST = "rest", "gate"
 JOINT_TIMES = 3
 _RACKS: dict[str, Place] = {
     "tray": (0.30, -0.60, 0.05),
@@ -237,9 +241,58 @@ def _fed_line() -> Coupled:
     )
 
 
+def _repeats() -> Coupled:
+    cell = _shared_fixture()
+    return replace(
+        cell,
+        scene=replace(cell.scene, name="repeats"),
+        short_of={**cell.short_of, "feeder": (0.58, -0.10, 0.22)},
+        repeats={"feeder": 0.12},
+    )
+
+
+def _two_operators() -> Coupled:
+    """A loader fills a fixture with two slots, the robot moves parts to an outfeed for two, an unloader takes them."""
+    places: dict[str, Place] = {"fixture": (0.60, 0.10, 0.10), "outfeed": (0.45, 0.45, 0.10)}
+    stations = {
+        "fixture": ((1.20, 0.20), (4.0, 6.0)),
+        "outfeed": ((0.75, 1.15), (3.0, 5.0)),
+        HELPER_REST: ((0.2, 2.4), (0.2, 0.8)),
+        "pallet": ((-0.4, 1.9), (1.0, 2.0)),
+        "inspect": ((0.6, 2.2), (1.5, 3.0)),
+    }
+    loaded = Need("operator", "fixture", "done", 0, ROBOT_LAG_S)
+    free = Need("robot", "fixture", "leaves", 2, OPERATOR_LAG_S)
+    brought = Need("robot", "outfeed", "leaves", 0, OPERATOR_LAG_S)
+    room = Need("helper", "outfeed", "leaves", 2, ROBOT_LAG_S)
+    return Coupled(
+        scene=_scene("two-operators", places, stations, (0.45, 0.75, 1.1, 1.6)),
+        short_of={"fixture": (0.50, 0.02, 0.25), "outfeed": (0.38, 0.30, 0.25)},
+        robot_s={**_RACKS_S, "fixture": 1.2, "outfeed": 0.5},
+        robot_jobs={"turn": ("fixture", "outfeed"), **_SORTING},
+        operator_jobs={"load": ("shelf", "fixture"), "label": ("label",), "scan": ("scan",)},
+        helper_jobs={"unload": ("outfeed", "pallet"), "inspect": ("inspect",), "pack": ("pack",)},
+        gates=(
+            Gate("operator", "approach", "fixture", free),
+            Gate("robot", "approach", "fixture", loaded),
+            Gate("robot", "approach", "outfeed", room),
+            Gate("helper", "approach", "outfeed", brought),
+        ),
+        signals={},
+    )
+
+
 COUPLED: dict[str, Coupled] = {
     cell.scene.name: cell
-    for cell in (_shared_fixture(), _handover(), _fed_line(), _four_fixtures(), _machine_tending())
+    for cell in (
+        _shared_fixture(),
+        _handover(),
+        _fed_line(),
+        _four_fixtures(),
+        _machine_tending(),
+        _repeats(),
+        _two_operators(),
+    )
 }
 
 

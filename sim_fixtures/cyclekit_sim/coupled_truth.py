@@ -9,6 +9,7 @@ from typing import cast
 import numpy as np
 import polars as pl
 
+from cyclekit_sim.coupled_program import people_of
 from cyclekit_sim.coupled_run import CoupledTrace, Waited, coupled_runs, realised
 from cyclekit_sim.coupled_scenes import Coupled, Gate, Moment
 from cyclekit_sim.engine import Trace
@@ -20,7 +21,7 @@ _SHORTEST_S = 1e-6  # s; shorter ones are no waits
 
 
 def coupled_tasks(session: Session, cell: Coupled, clock_s: float) -> pl.DataFrame:
-    """Return the tasks of both agents, grouped by execution, the robot's first."""
+    """Return the tasks of all agents, grouped by execution, the robot's first."""
     rows: list[dict[str, object]] = []
     for trace, begin_s in coupled_runs(session):
         rows += _rows(trace, cell, clock_s + begin_s)
@@ -30,11 +31,19 @@ def coupled_tasks(session: Session, cell: Coupled, clock_s: float) -> pl.DataFra
 def _rows(trace: CoupledTrace, cell: Coupled, clock_s: float) -> Iterator[dict[str, object]]:
     done = trace.done
     nothing = np.empty(0)
-    program = realised(done, "operator")
-    operator = Trace(
-        program, Nobody(), nothing, nothing, np.empty(0, dtype=np.int64), done.ends_s["operator"], trace.cycle_s
-    )
-    for agent, each in (("robot", trace), ("operator", operator)):
+    people = {
+        who: Trace(
+            realised(done, who),
+            Nobody(),
+            nothing,
+            nothing,
+            np.empty(0, dtype=np.int64),
+            done.ends_s[who],
+            trace.cycle_s,
+        )
+        for who in people_of(cell)
+    }
+    for agent, each in {"robot": trace, **people}.items():
         ended: dict[int, list[str]] = defaultdict(list)
         for wait in done.waits(agent):
             if wait.end_s - wait.begin_s > _SHORTEST_S:

@@ -43,6 +43,7 @@ class Trace:
         cycle_s: Length of a cycle.
         caps: Causes of s, slider and pauses; None: the person only.
         inputs: Digital inputs as a bit field (K,); None: there are none.
+        others: The tracks of further people.
     """
 
     program: Program
@@ -54,6 +55,7 @@ class Trace:
     cycle_s: float
     caps: Caps | None = None
     inputs: Ints | None = None
+    others: tuple[Track, ...] = ()
 
     @property
     def duration_s(self) -> float:

@@ -38,6 +38,8 @@ class SimulationOptions:
         robot_rate_hz: Controller rate and log rate, 125 or 500 Hz.
         tracker_rate_hz: Frames per second of the tracker.
         delta_m: Tracker noise, standard deviation per axis; white, in the log only.
+        swap_ids_s: Mean time between exchanges of the ids of two people, s; 0: never.
+        lost_ids_s: Mean time after which a person gets a new id, s; 0: never.
         dropout: Fraction of tracker frames lost, in bursts; 0 to below 1.
         clock_offset_s: Delay of the tracker's clock relative to cell.toml.
         clock_drift: Rate error of the tracker's clock (50e-6: 50 ppm fast).
@@ -83,6 +85,8 @@ class SimulationOptions:
     robot_rate_hz: int = 125
     tracker_rate_hz: int = 60
     delta_m: float = 0.0
+    swap_ids_s: float = 0.0
+    lost_ids_s: float = 0.0
     dropout: float = 0.0
     clock_offset_s: float = 0.0
     clock_drift: float = 0.0

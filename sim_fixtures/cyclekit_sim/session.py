@@ -86,17 +86,23 @@ class Session:
         names = RobotStates.__dataclass_fields__
         return RobotStates(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
-    def person(self, t_s: Array) -> Array:
-        """Return the person's position (M, 3), base frame, at session times (M,); NaN: absent."""
+    @property
+    def people(self) -> int:
+        """Number of people."""
+        return 1 + len(self.traces[0].others)
+
+    def person(self, t_s: Array, number: int = 0) -> Array:
+        """Return the position of a person (M, 3), base frame, at session times (M,); NaN: absent."""
+        tracks = [(trace.track, *trace.others)[number] for trace in self.traces]
         found = np.empty((len(t_s), 3))
         ends = [b + trace.duration_s for b, trace in zip(self.begins_s, self.traces, strict=True)]
         for i, (trace, begin) in enumerate(zip(self.traces, self.begins_s, strict=True)):
             last = i + 1 == len(self.traces)
             mine = (t_s >= begin if i else np.ones(len(t_s), dtype=bool)) & ((t_s <= ends[i]) | last)
-            found[mine] = trace.track.at(np.clip(t_s[mine] - begin, 0.0, trace.duration_s))
+            found[mine] = tracks[i].at(np.clip(t_s[mine] - begin, 0.0, trace.duration_s))
             if not last:
-                here = trace.track.at(np.array([trace.duration_s]))
-                there = self.traces[i + 1].track.at(np.array([0.0]))
+                here = tracks[i].at(np.array([trace.duration_s]))
+                there = tracks[i + 1].at(np.array([0.0]))
                 between = (t_s > ends[i]) & (t_s < self.begins_s[i + 1])
                 done = (t_s[between] - ends[i]) / (self.begins_s[i + 1] - ends[i])
                 found[between] = here + (done**2 * (3 - 2 * done))[:, None] * (there - here)

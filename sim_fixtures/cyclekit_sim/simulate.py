@@ -221,7 +221,7 @@ def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> 
     frames = record(session, options, stream(work.seed, work.scene, TRACKER, session.index))
     robot = measured(session.robot, options.encoder_noise_rad, stream(work.seed, work.scene, ENCODER, session.index))
     if options.logs == "mcap":
-        write_bag(folder / f"{session.name}.mcap", session, robot, frames, options)
+        write_bag(folder / f"{session.name}.mcap", session, robot, frames[0], options)
         return
     events, inputs = _signal_logs(work)
     fields = options.people in ("signals", "both")

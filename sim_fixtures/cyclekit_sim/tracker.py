@@ -1,12 +1,12 @@
-"""The tracker: the person as logged, in the tracker's clock and frame, with noise and lost frames.
+"""The tracker: the people as logged, in the tracker's clock and frame, with noise and lost frames.
 
-It starts recording a few seconds before the robot's logger and sees the person all the time. `write_csv` and
+It starts recording a few seconds before the robot's logger and sees them all the time. `write_csv` and
 `write_bag` write its file.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,14 @@ class Frames:
         session_s: True time of each frame, session time (M,).
         xyz_m: Measured position of the person in the base frame, NaN where not seen (M, 3).
         heading_rad: Direction of walking about the base's vertical (M,).
+        body: Name that the tracker gives this body.
     """
 
     t_s: Array
     session_s: Array
     xyz_m: Array
     heading_rad: Array
+    body: str = "Operator"
 
 
 def lead_s(options: SimulationOptions) -> float:
@@ -46,15 +48,50 @@ def tracker_time(session_s: Array, options: SimulationOptions) -> Array:
     return np.asarray((session_s + lead_s(options)) * (1 + options.clock_drift) - options.clock_offset_s)
 
 
-def record(session: Session, options: SimulationOptions, rng: np.random.Generator) -> Frames:
-    """Return the take of a session."""
+def record(session: Session, options: SimulationOptions, rng: np.random.Generator) -> list[Frames]:
+    """Return the take of a session, one entry per body that the tracker tells apart."""
     last = float(tracker_time(np.array([session.end_s + _TAIL_S]), options)[0])
     t_s = np.arange(int(last * options.tracker_rate_hz) + 1) / options.tracker_rate_hz
     session_s = (t_s + options.clock_offset_s) / (1 + options.clock_drift) - lead_s(options)
-    true_m = session.person(session_s)
-    measured = true_m + rng.normal(0.0, 1.0, true_m.shape) * options.delta_m
-    measured[_lost(len(t_s), options, rng)] = np.nan
-    return Frames(t_s, session_s, measured, _heading(true_m))
+    bodies = []
+    for number in range(session.people):
+        true_m = session.person(session_s, number)
+        measured = true_m + rng.normal(0.0, 1.0, true_m.shape) * options.delta_m
+        measured[_lost(len(t_s), options, rng)] = np.nan
+        bodies.append(
+            Frames(t_s, session_s, measured, _heading(true_m), f"Operator {number + 1}" if number else "Operator")
+        )
+    return _renamed(_swapped(bodies, options, rng), options, rng)
+
+
+def _swapped(bodies: list[Frames], options: SimulationOptions, rng: np.random.Generator) -> list[Frames]:
+    """Return two bodies with exchanged ids from each of some random times on."""
+    if not options.swap_ids_s or len(bodies) != 2:
+        return bodies
+    swapped = (np.cumsum(_happens(bodies[0], options.swap_ids_s, rng)) % 2 == 1)[:, None]
+    first, second = (one.xyz_m for one in bodies)
+    return [
+        replace(bodies[0], xyz_m=np.where(swapped, second, first)),
+        replace(bodies[1], xyz_m=np.where(swapped, first, second)),
+    ]
+
+
+def _renamed(bodies: list[Frames], options: SimulationOptions, rng: np.random.Generator) -> list[Frames]:
+    """Return the bodies, each as a new one from each of some random times on."""
+    if not options.lost_ids_s:
+        return bodies
+    found: list[Frames] = []
+    for body in bodies:
+        part = np.cumsum(_happens(body, options.lost_ids_s, rng))
+        for number in range(int(part[-1]) + 1):
+            mine = np.where((part == number)[:, None], body.xyz_m, np.nan)
+            found.append(replace(body, xyz_m=mine, body=f"Operator {len(found) + 1}" if found else "Operator"))
+    return found
+
+
+def _happens(body: Frames, mean_s: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return in which frames something happens that does so every `mean_s` on average (M,)."""
+    return np.asarray(rng.random(len(body.t_s)) < np.gradient(body.t_s) / mean_s)
 
 
 def in_tracker_frame(xyz_m: Array, options: SimulationOptions) -> Array:

@@ -20,7 +20,6 @@ from cyclekit_sim.tracker import Frames, in_tracker_frame, tracker_time
 
 UPTIME_S = 152.512  # s, controller's clock at the first sample
 _GROUPS = ("actual_q", "actual_qd", "actual_TCP_pose", "actual_TCP_speed")
-_BODY = "Operator"
 _BODY_ID = "5F1C2A9E0B7D11EFA3C20242AC120002"
 
 
@@ -50,35 +49,38 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, i
     pl.DataFrame(columns).write_csv(path, separator=" ", line_terminator="\r\n", float_precision=7, quote_style="never")
 
 
-def write_people(path: Path, frames: Frames, options: SimulationOptions, take: str) -> None:
-    """Write a take as exported by Motive 1.23: one rigid body, Y up."""
-    place = in_tracker_frame(frames.xyz_m, options) * (1000.0 if options.millimetres else 1.0)
-    half = 0.5 * (frames.heading_rad - np.deg2rad(options.tracker_yaw_deg))
-    still = np.zeros(len(half))
-    seen = ~np.isnan(place[:, 0])
-    cells = (still, np.sin(half), still, np.cos(half), place[:, 0], place[:, 2], -place[:, 1])
-    data = {"frame": pl.Series(np.arange(len(seen))), "time": pl.Series(frames.t_s)}
-    data |= {str(i): pl.Series(np.where(seen, values, np.nan)).fill_nan(None) for i, values in enumerate(cells)}
+def write_people(path: Path, bodies: Sequence[Frames], options: SimulationOptions, take: str) -> None:
+    """Write a take as exported by Motive 1.23: rigid bodies, Y up."""
+    t_s = bodies[0].t_s
+    data, anybody = {"frame": pl.Series(np.arange(len(t_s))), "time": pl.Series(t_s)}, np.zeros(len(t_s), dtype=bool)
+    for frames in bodies:
+        place = in_tracker_frame(frames.xyz_m, options) * (1000.0 if options.millimetres else 1.0)
+        half = 0.5 * (frames.heading_rad - np.deg2rad(options.tracker_yaw_deg))
+        still, seen = np.zeros(len(half)), ~np.isnan(place[:, 0])
+        cells = (still, np.sin(half), still, np.cos(half), place[:, 0], place[:, 2], -place[:, 1])
+        for values in cells:
+            data[str(len(data))] = pl.Series(np.where(seen, values, np.nan)).fill_nan(None)
+        anybody |= seen
     rows = pl.DataFrame(data)
     if options.silent_when_empty:
-        rows = rows.filter(pl.Series(seen))
+        rows = rows.filter(pl.Series(anybody))
     with path.open("wb") as log:
-        log.write(_motive_header(take, rows.height, options).encode())
+        log.write(_motive_header(take, rows.height, options, [one.body for one in bodies]).encode())
         rows.write_csv(log, include_header=False, line_terminator="\r\n", float_precision=6)
 
 
-def _motive_header(take: str, frames: int, options: SimulationOptions) -> str:
+def _motive_header(take: str, frames: int, options: SimulationOptions, bodies: Sequence[str]) -> str:
     rate, unit = f"{options.tracker_rate_hz:.6f}", "Millimeters" if options.millimetres else "Meters"
     rows = [
         f"Format Version,1.23,Take Name,{take},Take Notes,,Capture Frame Rate,{rate},Export Frame Rate,{rate},"
         f"Capture Start Time,2025-06-02 08.00.00.000 AM,Total Frames in Take,{frames},Total Exported Frames,{frames},"
         f"Rotation Type,Quaternion,Length Units,{unit},Coordinate Space,Global",
         "",
-        ",Type" + ",Rigid Body" * 7,
-        ",Name" + f",{_BODY}" * 7,
-        ",ID" + f',"{_BODY_ID}"' * 7,
-        "," + ",Rotation" * 4 + ",Position" * 3,
-        "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z",
+        ",Type" + ",Rigid Body" * 7 * len(bodies),
+        ",Name" + "".join(f",{body}" * 7 for body in bodies),
+        ",ID" + "".join(f',"{int(_BODY_ID, 16) + number:032X}"' * 7 for number in range(len(bodies))),
+        "," + (",Rotation" * 4 + ",Position" * 3) * len(bodies),
+        "Frame,Time (Seconds)" + ",X,Y,Z,W,X,Y,Z" * len(bodies),
     ]
     return "".join(f"{row}\r\n" for row in rows)
 

@@ -71,24 +71,27 @@ def test_of_two_people_the_one_nearer_to_the_tool_counts_and_the_other_when_that
     near = with_holes(walk(np.arange(0, 5, 0.02), y_m=1.0, person="a"), [(2.0, 3.0)])
     far = walk(np.arange(0, 5, 0.02), y_m=-2.0, person="b")
     tcp = np.column_stack([t_s, 0 * t_s, 0 * t_s])
-    found = nearest_person([far, near], t_s, tcp, bridge_s=0.3)
+    found, several = nearest_person([far, near], t_s, tcp, bridge_s=0.3)
     assert sorted(set(found[:, 1].round(6).tolist())) == [-2.0, 1.0]
     assert found[(t_s > 2.05) & (t_s < 2.95), 1] == pytest.approx(-2.0)
     assert found[t_s < 1.95, 1] == pytest.approx(1.0)
+    assert several.tolist() == ((t_s < 2.05) | (t_s > 2.95)).tolist()
 
 
 def test_a_person_of_a_planar_tracker_counts_by_the_distance_on_the_floor():
     t_s = np.arange(0.0, 1.0, 0.1)
     flat = PersonTrack("1", t_s, np.column_stack([t_s * 0 + 1.0, t_s * 0, t_s * np.nan]))
-    found = nearest_person([flat], t_s, np.zeros((10, 3)), bridge_s=0.3)
+    found, several = nearest_person([flat], t_s, np.zeros((10, 3)), bridge_s=0.3)
     assert found[:, 0] == pytest.approx(1.0)
     assert np.isnan(found[:, 2]).all()
+    assert not several.any()
 
 
 def test_where_the_tool_is_unknown_whoever_is_seen_counts():
     t_s = np.arange(0.0, 1.0, 0.1)
-    found = nearest_person([walk(t_s, 1.0), walk(t_s, 0.0)], t_s, np.full((10, 3), np.nan), bridge_s=0.3)
+    found, several = nearest_person([walk(t_s, 1.0), walk(t_s, 0.7)], t_s, np.full((10, 3), np.nan), bridge_s=0.3)
     assert found[:, 1] == pytest.approx(1.0)
+    assert not several.any()  # so near that both may be of one body
 
 
 def circling(frames: int = 900) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

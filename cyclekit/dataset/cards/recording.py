@@ -121,6 +121,7 @@ class OperatorCard(Card, frozen=True, kw_only=True):
         occluded: Samples with the operator hidden for longer than is bridged.
         absent: Samples without an operator.
         outside: Samples outside of the time of the log.
+        several: Samples with people at different places at once, in all logs of its session.
         warnings: Limits that a user must know.
     """
 
@@ -129,6 +130,7 @@ class OperatorCard(Card, frozen=True, kw_only=True):
     occluded: Count = 0
     absent: Count = 0
     outside: Count = 0
+    several: Count = 0
     warnings: tuple[Note, ...] = ()
 
 

@@ -108,6 +108,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         own_position: Factor on the work at its own position in its agent's order: first, second ...
         lags_s: Time from when it might start to its start, in each repetition.
         need_lags_s: The same where a needed task ended last, if clearly different; then `lags_s` is of the others.
+        visits, again: How often it was done, and how often some executions did it again right after itself; 0 if none.
     """
 
     agent: Name
@@ -131,6 +132,8 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     parts: PartsCard | None = None
     lags_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=PAST)]
     need_lags_s: Annotated[tuple[Lag, ...], Meta(max_length=PAST)] = ()
+    visits: Count = 0
+    again: Count = 0
 
     @property
     def waits_for(self) -> list[str]:

@@ -22,6 +22,7 @@ from cyclekit.estimate.statistics.by_order import error_by_order
 from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, most_outside
 from cyclekit.estimate.validation.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.validation.logged import logged_durations, logged_sequences
+from cyclekit.estimate.validation.several import open_wait
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,7 +108,7 @@ class JointCheck(Check):
     @property
     def doubted_bias(self) -> float:
         """Bias without a known cause, as a share of the duration: it is corrected, but may differ for other orders."""
-        return abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0
+        return (abs(self.own_bias) if self.biased(OWN_BIAS) else 0.0) + self.open_wait
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -206,6 +207,7 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         "widening": widening(len(ended), repetitions(cell)),
         "unexplained_s": waits.wait_s,
         "unseen_error": unseen_s / mean_s,
+        "open_wait": open_wait(cell.dataset, [each.name for each in sequences], mean_s),
         "missed": every - whole,
         "unended": whole - len(ended),
         "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences),

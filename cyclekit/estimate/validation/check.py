@@ -38,6 +38,7 @@ from cyclekit.estimate.validation.logged import (
     with_other_tracks,
     with_own_tracks,
 )
+from cyclekit.estimate.validation.several import open_wait
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
 
@@ -101,6 +102,8 @@ class Check:
         rolled: Mean of the rollouts with all other operators, as a share of the mean logged duration.
         spread: Factor on the deviations of cycles from their mean, so that they scatter as logged executions of other
             orders do about their expected durations; 1 if the logs show people.
+        open_wait: How far the robot's waits in another order may be off to either side, as a share of the duration,
+            because several people are taken for one (`open_wait`).
     """
 
     executions: int
@@ -119,6 +122,7 @@ class Check:
     spread: float = 1.0
     level: LogLevel | None = None
     rolled: float = 1.0
+    open_wait: float = 0.0
 
     @property
     def look_at(self) -> str:
@@ -190,7 +194,7 @@ class Check:
     @property
     def doubted_bias(self) -> float:
         """Bias that a doubt names and nothing corrects, as a share of the duration; it widens the interval."""
-        return abs(self.crossed_bias) if self._reacts else 0.0
+        return (abs(self.crossed_bias) if self._reacts else 0.0) + self.open_wait
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -307,6 +311,7 @@ def check_rollout(
         operator=operator_model([sequence.name for sequence in sequences], began, entered, entries),
         unseen_error=unseen_error,
         spread=spread,
+        open_wait=open_wait(dataset, [each.name for each in sequences], float(logged.mean())),
     )
 
 

@@ -41,6 +41,7 @@ from cyclekit.learning.coupling.pace.own_work import own_work_by_place, rest_at_
 from cyclekit.learning.coupling.pace.pace import at_latest_pace, operator_pace, paces_beside
 from cyclekit.learning.coupling.parts.unseen_parts import find_unseen_parts, with_parts
 from cyclekit.learning.coupling.phases import with_phases
+from cyclekit.learning.coupling.several_people import several_people
 from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.subset import in_runs
 
@@ -64,10 +65,13 @@ AGENTS: tuple[Agent, ...] = ("robot", "operator")
 
 
 def learn_coupling(dataset: Dataset) -> CouplingCard | None:
-    """Return who waits for whom in a dataset; None in too few executions, or of the robot alone without waits."""
+    """Return who waits for whom in a dataset.
+
+    None in too few executions, of the robot alone without waits, or where several people are taken for one.
+    """
     if dataset.card.coupling is not None and not dataset.is_part:
         return dataset.card.coupling
-    if "robot" not in dataset.positions:
+    if "robot" not in dataset.positions or several_people(dataset.recordings):
         return None
     try:
         mine = dataset.tasks()

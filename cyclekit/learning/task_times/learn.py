@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, JointCard, PaceCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, UnknownName, command_line
+from cyclekit.learning.repeats import Repeated, find_repeats
 from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
@@ -153,11 +154,18 @@ def _learned(runs: Sequence[Run], agents: Mapping[str, str], told: Mapping[str, 
     pace = {agent: found for agent, found in paces.items() if found}
     starts = {agent: learn_starts(runs, agent, told[agent]) for agent in sorted({agent for agent, _ in pairs})}
     starts = needed_together(starts)
+    again = {(one.agent, one.name): one for agent in agents for one in find_repeats(agent, _done(runs, agent))}
     tasks = tuple(
-        _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair)) for pair in pairs
+        _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair), again.get(pair))
+        for pair in pairs
     )
     early = starts_before_plan(runs)
     return TaskModelCard(agents=dict(agents), tasks=tasks, pace=pace, before_plan=early, executions=len(runs))  # type: ignore[arg-type]  # of these two
+
+
+def _done(runs: Sequence[Run], agent: str) -> list[list[tuple[str, float]]]:
+    """Return the tasks of an agent in each execution, with their durations, s."""
+    return [[(done.task, done.took_s) for done in run.tasks.get(agent, ())] for run in runs]
 
 
 def _sessions(runs: Sequence[Run]) -> Ints:
@@ -176,7 +184,13 @@ def _pace(rates: Mapping[tuple[str, str], TaskRates], agent: str, sessions: Ints
 
 
 def _task(
-    agent: str, task: str, starts: Starts, rates: TaskRates, pace: PaceCard | None, joint: JointCard | None
+    agent: str,
+    task: str,
+    starts: Starts,
+    rates: TaskRates,
+    pace: PaceCard | None,
+    joint: JointCard | None,
+    again: Repeated | None,
 ) -> TaskTimesCard:
     now = 1.0 / pace.factor(rates.number) if pace else np.ones(len(rates.number))
     return TaskTimesCard(
@@ -201,6 +215,8 @@ def _task(
         parts=starts.parts,
         lags_s=_kept(starts.lags_s),
         need_lags_s=_kept(starts.need_lags_s),
+        visits=again.visits if again else 0,
+        again=again.times if again else 0,
     )
 
 

@@ -1,0 +1,70 @@
+"""Repetitions in the logs that an asked order lacks: said, and covered by the intervals."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+from known_cells import TrueStaircase
+from report_pages import estimate as made
+
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.repeats import with_repeats
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.repeats import Repeated
+from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit_sim import simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+REPEATS = [Repeated("robot", "left", visits=100, times=10, took_s=3.0)]
+
+
+def test_the_interval_covers_the_order_with_and_without_repetitions() -> None:
+    entry = made()
+    found = with_repeats(entry, REPEATS, {"robot": ["left", "conveyor"]})
+    assert found.expected_s == entry.expected_s
+    assert found.expected_low_s == entry.expected_low_s
+    assert found.expected_high_s == pytest.approx(entry.expected_high_s + 0.3)
+    assert found.quantiles_s[0.95] == pytest.approx(entry.quantiles_s[0.95] + 0.3)
+    assert found.findings[0].text == "the logs repeat `left` 10 times in 100 visits; this order has none: +1.0%"
+    assert found.findings[0].blocks
+
+
+@pytest.mark.parametrize("order", [["left", "left", "conveyor"], ["right", "conveyor"]])
+def test_an_order_with_its_own_repetition_or_without_the_place_is_as_it_was(order: list[str]) -> None:
+    entry = made()
+    assert with_repeats(entry, REPEATS, {"robot": order}) is entry
+
+
+def test_repeated_picks_of_the_logs_are_told_of_an_order_without_them(tmp_path: Path) -> None:
+    logs = simulate("repeats", tmp_path / "logs", executions=8, seed=3)
+    ingest([logs], tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    routes = [one.places for one in dataset.card.executions]
+    again = sum(before == after for route in routes for before, after in pairwise(route))
+    plain = next(route for route in routes if ("feeder", "feeder") not in pairwise(route))
+    (found,) = estimate(TrueStaircase(), dataset, [TaskSequence("plain", plain)], validate=False, extrapolate=True)
+    (told,) = (one for one in found.findings if one.code == "repeats")
+    assert told.text.startswith(f"the logs repeat `feeder` {again} times in 24 visits; this order has none: +")
+
+
+@pytest.mark.usefixtures("quick_task_times")
+def test_repeated_tasks_of_lists_are_told_of_a_plan_without_them(tmp_path: Path) -> None:
+    rows = ["run,agent,task,t_start,t_end"]
+    for number in range(20):
+        for at, name in enumerate("ppq" if number % 5 == 0 else "pq"):
+            begin_s = 1.7e9 + 100.0 * number + 2.0 * at
+            rows.append(f"{number},arm,{name},{begin_s},{begin_s + 1.9}")
+    (tmp_path / "tasks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
+    model = learn_task_times(Dataset.open(tmp_path / "dataset"))
+    plan = TaskSequence.of_plan("once", [PlannedTask("arm", "p"), PlannedTask("arm", "q")])
+    (found,) = estimate_plans(model, [plan], refused=lambda *_: None)
+    (told,) = (one for one in found.findings if one.code == "repeats")
+    assert told.text.startswith("the logs repeat `p` 4 times in 20 visits; this order has none: +")

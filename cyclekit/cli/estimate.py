@@ -87,7 +87,7 @@ def estimate(
     from cyclekit.cli.facts import to_log
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.report.texts import load_texts
-    from cyclekit.report.verdict import basis, in_words, verdict
+    from cyclekit.report.verdict import basis, in_words, others, verdict
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     if baseline is not None:
@@ -128,8 +128,10 @@ def estimate(
         "" if any(entry.plan for entry in found) else largest_losses(found),
     ]
     parts += [basis_and_limits(found), validation(found.check) if found.check else ""]
-    held, texts = verdict(Dataset.of(dataset), found, (), None, takt_s, baseline), load_texts()
-    parts.append(bullet([in_words(texts, held), basis(texts, held)], mark="") if held else "")
+    logs, texts = Dataset.of(dataset), load_texts()
+    if (held := verdict(logs, found, (), None, takt_s, baseline)) is not None:
+        said = [in_words(texts, each) for each in (held, *others(logs, found, (), held))]
+        parts.append(bullet([*filter(None, said), basis(texts, held)], mark=""))
     terminal.answer(found.to_dict(), *parts)
 
 

@@ -15,6 +15,7 @@ from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
 from cyclekit.report.tables import ReportTable
+from cyclekit.report.tiles import tile_rows
 from cyclekit.text.numbers import UNKNOWN, compact, fixed, given, interval, percent, seconds
 from cyclekit.text.plain_text import shown_task
 
@@ -41,7 +42,8 @@ def section(page: PageInputs) -> dict[str, Any]:
     """Return what the template needs for section 1."""
     texts, ranked, takt_s, found, best = page.texts, page.ranked, page.takt_s, page.verdict, page.best
     missing = [] if page.model is not None or page.unseen else [texts("answer.no_model")]
-    said = {"headline": verdict.in_words(texts, found), "lead": [verdict.basis(texts, found)]} if found else {}
+    headline = " ".join(text for each in page.verdicts if (text := verdict.in_words(texts, each)))
+    said = {"headline": headline, "lead": [verdict.basis(texts, found)]} if found else {}
     if best is None:
         missing.insert(0, texts("answer.no_estimates"))
         logged = {**_logged(texts, page.seen, takt_s, missing), "charts": charts_of("answer", page)}
@@ -62,6 +64,7 @@ def section(page: PageInputs) -> dict[str, Any]:
         sentences.append(texts("answer.takt", name=best.name, takt=given(takt_s), share=share))
     return {
         "headline": said["headline"] if said else texts("answer.best", name=best.name, mean=mean),
+        "tiles": tile_rows(texts, page.verdicts),
         "sentences": sentences + missing,
         "charts": charts_of("answer", page),
         "table": _table(page, works),
@@ -120,7 +123,7 @@ def _warnings(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> list[str]:
 
 def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: Sequence[str]) -> dict[str, Any]:
     """The answer without estimates: the executions as they were."""
-    found: dict[str, Any] = {"sentences": list(missing), "table": None, "refused": None, "warnings": []}
+    found: dict[str, Any] = {"tiles": [], "sentences": list(missing), "table": None, "refused": None, "warnings": []}
     durations = seen.duration_s
     if not len(durations):
         return {**found, "headline": texts("answer.no_executions")}

@@ -12,8 +12,10 @@ from cyclekit.estimate.finding import light_of, merged
 from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.report.figures import Chart
 from cyclekit.report.findings import losses, safety_function, task_shares
+from cyclekit.report.light import put_away
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import ReportTable
+from cyclekit.report.verdict import in_words
 from cyclekit.text.plain_json import json_text
 from cyclekit.text.plain_text import csv_text, markdown
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from cyclekit.report.light import TrafficLight
     from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
+    from cyclekit.report.verdict import TaktVerdict
 
 PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 MARK = "<!-- written by cyclekit -->"
@@ -39,7 +42,8 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "made": made,
         "answer": headline,
         **light_of(merged([page.basis, *(one.findings for one in page.ranked)])),
-        "verdict": None if page.verdict is None else page.verdict.to_dict(headline),
+        "verdict": None if page.verdict is None else page.verdict.to_dict(_said(page, page.verdict)),
+        "works": [each.to_dict(_said(page, each)) for each in page.verdicts],
         "sequences": [each.to_dict() for each in page.ranked],
         "refused": [each.to_dict() for each in page.refused],
         "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(page.tasks)],
@@ -56,6 +60,11 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "sentences": {key: list(section.get("sentences", ())) for key, section in sections.items()},
     }
     return json_text(document) + "\n"
+
+
+def _said(page: PageInputs, one: TaktVerdict) -> str:
+    """The verdict on one kind of work in words, behind a plain mark if the light is red."""
+    return put_away(page.texts, page.light if page.ranked else None, in_words(page.texts, one))
 
 
 def as_csv(page: PageInputs) -> str:

@@ -17,7 +17,7 @@ from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.light import traffic_light
-from cyclekit.report.verdict import verdict
+from cyclekit.report.verdict import others, verdict
 from cyclekit.text.numbers import decimals_of
 
 if TYPE_CHECKING:
@@ -135,6 +135,12 @@ class PageInputs:
     def verdict(self) -> TaktVerdict | None:
         """The verdict; None without sequences, an order search or changes."""
         return verdict(self.dataset, self.ranked, self.what_if, self.planned, self.takt_s, self.baseline)
+
+    @cached_property
+    def verdicts(self) -> list[TaktVerdict]:
+        """The verdict on each kind of work that was asked for; the main one comes first."""
+        main = self.verdict
+        return [] if main is None else [main, *others(self.dataset, self.ranked, self.what_if, main)]
 
     @cached_property
     def best(self) -> CycleEstimate | None:

@@ -153,6 +153,8 @@ def compose_report(
         sections[key] = section(page)
     if ranked:  # a logged mean rests on no clock or pose
         sections["answer"]["headline"] = put_away(texts, page.light, sections["answer"]["headline"])
+        if page.light is not None and page.light.level == "red":
+            sections["answer"]["tiles"] = []
     say(0.25, "tables of the part to play with")
     played = play_part(page) if play and kind == "html" else None
     missing = [*missing, *(played.missing if played else ())]

@@ -20,8 +20,9 @@ from cyclekit.report.page import ReportFacts
 from cyclekit.report.pictures import Picture
 from cyclekit.report.play import play_lists
 from cyclekit.report.template import Template
+from cyclekit.report.tiles import tile_rows
 from cyclekit.report.tried import Tried
-from cyclekit.report.verdict import basis, in_words, verdict
+from cyclekit.report.verdict import basis, in_words, others, verdict
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.numbers import UNKNOWN, count, counted, fixed, given, percent, seconds, signed_percent
 from cyclekit.text.plain_json import json_text
@@ -130,7 +131,9 @@ def report_tasks(
         parts[0] = replace(parts[0], chart=time_chart(texts, drawn, takt_s))
     parts += [] if found and today else _logged(texts, dataset, takt_s)
     parts += [*(_learned(card) if card else ()), _trust(card, missing)]
-    headline = in_words(texts, held) if held else _logged_in_words(dataset, takt_s)
+    verdicts = [held, *others(dataset, found, tried, held)] if held else []
+    headline = " ".join(text for each in verdicts if (text := in_words(texts, each)))
+    headline = headline if held else _logged_in_words(dataset, takt_s)
     said = [basis(texts, held)] if held else []
     light = traffic_light(texts, [one.findings for one in found])
     headline = put_away(texts, light, headline)
@@ -149,8 +152,9 @@ def report_tasks(
     else:
         texts_of = {"cell": name, "made": made, "headline": headline, "version": installed("cyclekit")}
         sections = [part for part in parts if part.chart or not part.folded]
+        rows = [] if light is not None and light.level == "red" else tile_rows(texts, verdicts)
         content = look.render(
-            page=PAGE, said=said, parts=parts, sections=sections, play=played, light=light, **texts_of
+            page=PAGE, rows=rows, said=said, parts=parts, sections=sections, play=played, light=light, **texts_of
         )
         content += f"\n{MARK}\n"
     write_text(out, content)

@@ -39,6 +39,7 @@ class TaktVerdict:
         planned: The order found, if a search was made.
         best: The estimate of the fastest sequence of this work, if there is one.
         change: The fastest change of a sequence of this work, among those that clearly save time.
+        asked: The estimate of the fastest sequence that was asked for; None if it is today's order, or the one found.
     """
 
     work: Work
@@ -47,6 +48,7 @@ class TaktVerdict:
     planned: OrderPlan | None
     best: CycleEstimate | None
     change: Tried | None
+    asked: CycleEstimate | None = None
 
     @property
     def order(self) -> OrderPlan | None:
@@ -94,14 +96,17 @@ class TaktVerdict:
     @property
     def decimals(self) -> int:
         """Number of decimals that its cycle times show."""
-        change_s = None if self.change is None else self.change.expected_s
-        return decimals_of(None if self.today is None else self.today.mean_s, self.expected_s, change_s)
+        others = [each.expected_s for each in (self.change, self.asked) if each is not None]
+        return decimals_of(None if self.today is None else self.today.mean_s, self.expected_s, *others)
 
     @property
     def within(self) -> tuple[float, float, float] | None:
         """Share of the cycles of `best` within the takt, with its 95 % interval; None without either."""
-        best = self.best
-        return None if best is None or self.takt_s is None else best.within(self.takt_s)
+        return self.share_within(self.best)
+
+    def share_within(self, one: CycleEstimate | None) -> tuple[float, float, float] | None:
+        """Return the share of the cycles of an estimate within the takt, with its 95 % interval; None if unknown."""
+        return None if one is None or self.takt_s is None else one.within(self.takt_s)
 
     def saves_s(self, expected_s: float | None) -> float | None:
         """Return what a mean cycle time saves against today, s; None without a cycle of today."""
@@ -146,8 +151,35 @@ def verdict(
     first = {work: some[0] for work, some in by_work(ranked).items()}
     logged = {work: _today_of(dataset, work, takt_s, named, first.get(work)) for work in works}
     work = next((work for work in works if logged[work] is not None), works[0])
-    mine = by_work(ranked).get(work, [])
-    return TaktVerdict(work, takt_s, logged[work], planned, mine[0] if mine else None, best_change(work, ranked, tried))
+    return _of_work(
+        work, by_work(ranked).get(work, []), logged[work], planned, takt_s, best_change(work, ranked, tried)
+    )
+
+
+def others(
+    dataset: Dataset, ranked: Sequence[CycleEstimate], tried: Sequence[Tried], main: TaktVerdict | None
+) -> list[TaktVerdict]:
+    """Return the verdicts on the other kinds of work that were asked for, beside the main one."""
+    found = []
+    for work, mine in by_work(ranked).items():
+        if main is not None and work != main.work and work.visits:
+            today = _today_of(dataset, work, main.takt_s, None, mine[0])
+            found.append(_of_work(work, mine, today, None, main.takt_s, best_change(work, ranked, tried)))
+    return found
+
+
+def _of_work(
+    work: Work,
+    mine: Sequence[CycleEstimate],
+    today: Baseline | None,
+    planned: OrderPlan | None,
+    takt_s: float | None,
+    change: Tried | None,
+) -> TaktVerdict:
+    """Return the verdict on one kind of work, from its estimates, the fastest first."""
+    known = [planned.sequence("").places if planned else None, today.order if today else None]
+    asked = next((each for each in mine if each.places not in known), None)
+    return TaktVerdict(work, takt_s, today, planned, mine[0] if mine else None, change, asked)
 
 
 def _today_of(
@@ -205,21 +237,24 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
     """The order found or the fastest sequence, and the best change, against today."""
     best, change, said = found.best, found.change, ""
     if found.order is not None:
-        said = texts("verdict.order_none")
+        asked = _asked(texts, found)
+        said = asked + texts("verdict.order_none")
         if found.order.saves_s[1] > 0 and found.expected_s is not None:
-            said = texts("verdict.order", mean=_mean(found), change=_beside(texts, found, found.expected_s))
+            said = asked + texts(
+                "verdict.order", mean=_mean(found), change=against_today(texts, found, found.expected_s)
+            )
             said += _within(texts, "verdict.within", found.within, found.takt_s)
     elif best is not None and found.today is not None and found.today.sequence == best.name:
         said = texts("verdict.none_faster")
     elif best is not None:
-        clear = found.today is None or not _overlap(best, found.today)
-        beside = _beside(texts, found, best.expected_s) if clear else texts("verdict.not_clear")
-        said = texts("verdict.sequence", name=best.name, mean=_mean(found), change=beside)
+        said = texts("verdict.sequence", name=best.name, mean=_mean(found), change=of_sequence(texts, found, best))
         said += _within(texts, "verdict.within", found.within, found.takt_s)
     if change is None:
         return f"{said}." if said else ""
     mean = fixed(change.expected_s, found.decimals)
-    beside = _beside(texts, found, change.expected_s) + _within(texts, "verdict.within", change.within, found.takt_s)
+    beside = against_today(texts, found, change.expected_s) + _within(
+        texts, "verdict.within", change.within, found.takt_s
+    )
     values = {"label": change.label, "mean": mean, "change": beside}
     if not said:
         return f"{texts('verdict.change_alone', name=change.sequence, **values)}."
@@ -227,6 +262,14 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
     if change.places == named:
         return f"{said}; {texts('verdict.with_change', **values)}."
     return f"{said}; {texts('verdict.with_change_of', name=change.sequence, **values)}."
+
+
+def _asked(texts: ReportTexts, found: TaktVerdict) -> str:
+    """The sequence that was asked for, as a sentence before the order found; empty without one."""
+    if found.asked is None:
+        return ""
+    values = {"mean": fixed(found.asked.expected_s, found.decimals), "change": of_sequence(texts, found, found.asked)}
+    return f"{texts('verdict.sequence', name=found.asked.name, **values)}. "
 
 
 def _mean(found: TaktVerdict) -> str:
@@ -238,7 +281,14 @@ def _overlap(best: CycleEstimate, today: Baseline) -> bool:
     return best.expected_low_s <= today.high_s and today.low_s <= best.expected_high_s
 
 
-def _beside(texts: ReportTexts, found: TaktVerdict, mean_s: float) -> str:
+def of_sequence(texts: ReportTexts, found: TaktVerdict, one: CycleEstimate) -> str:
+    """The difference of a sequence from today, if it is clear; the end of a sentence."""
+    if found.today is not None and _overlap(one, found.today):
+        return texts("verdict.not_clear")
+    return against_today(texts, found, one.expected_s)
+
+
+def against_today(texts: ReportTexts, found: TaktVerdict, mean_s: float) -> str:
     """The difference from today, as `, 8.9 s less (−9 %)`; empty without a cycle of today."""
     if found.today is None:
         return ""

@@ -107,7 +107,7 @@ def test_the_order_found_has_a_column_for_each_agent() -> None:
              (("arm", "bring"), ("worker", "mount"), ("arm", "weld"))]  # fmt: skip
     planned = SimpleNamespace(
         saves_s=(3.0, 2.0, 4.0), estimate=SimpleNamespace(expected_s=40.0), against="logged orders",
-        against_s=43.0, tasks=tasks,
+        against_s=43.0, tasks=tasks, saving_in_words="3.0 s (95 % CI 2.0 to 4.0 s)",
     )  # fmt: skip
     (part,) = _order(planned)
     assert part.heads == ["No.", "arm", "worker"]

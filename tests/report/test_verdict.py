@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -252,3 +253,25 @@ def test_the_bound_of_an_order_that_never_ran_is_not_held_against_today(dataset,
     assert "today" not in bound
     (bound, *_) = document(dataset, tmp_path)["sentences"]["helps"]
     assert bound.endswith("below today's logged mean.")
+
+
+def test_each_kind_of_work_is_answered_with_at_most_three_numbers(logged, tmp_path):
+    asked = [estimate("turned", 20.0, places=TURNED), estimate("four", 41.0, places=LONG)]
+    asked.append(estimate("order found", 15.0, places=(*ROUTE[:2], "c", "home")))
+    found = document(logged, tmp_path, estimates=asked)
+    assert "“turned” takes 20.0 s on average, saving 11.0 s (−35 %)." in found["answer"]
+    assert "“four” takes 41.0 s on average." in found["answer"]
+    assert "“order found” takes 15.0 s on average." in found["answer"]
+    assert found["works"][0] == found["verdict"]
+    assert [each["best"]["expected_s"] for each in found["works"]] == [20.0, 15.0, 41.0]
+    given = {
+        "estimates": [asked[0], estimate("found", 25.0, places=(*ROUTE[:1], "b", "a", "home"))],
+        "planned": PLANNED,
+    }
+    html = compose_report(logged, None, tmp_path / "r.html", **given).path.read_text("utf-8")
+    tiles = re.findall(r'<div class="tiles">(.*?)</div>\s*</div>', html, flags=re.DOTALL)
+    assert [row.count('class="number"') for row in tiles] == [2]
+    numbers = re.findall(r'class="number">([\d.]+)<', tiles[0])
+    assert numbers == ["31.0", "20.0"]
+    assert "saving 11.0" in tiles[0]
+    assert float(numbers[0]) - float(numbers[1]) == pytest.approx(11.0)

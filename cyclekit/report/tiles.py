@@ -1,0 +1,85 @@
+"""The numbers of the answer as tiles, at most three for each kind of work: today, what was asked for, the best."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from cyclekit.report.verdict import against_today, of_sequence
+from cyclekit.text.numbers import count, fixed, percent
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.report.texts import ReportTexts
+    from cyclekit.report.verdict import TaktVerdict
+
+
+class Tile(NamedTuple):
+    """One number.
+
+    Attributes:
+        what: What takes this time.
+        number: Mean cycle time, without its unit.
+        change: Difference from today, or what today's number rests on.
+        share: Share of the cycles within the takt; empty without a takt.
+    """
+
+    what: str
+    number: str
+    change: str
+    share: str
+
+
+class TileRow(NamedTuple):
+    """The tiles of one kind of work, named if there are several."""
+
+    work: str
+    tiles: tuple[Tile, ...]
+
+
+def tile_rows(texts: ReportTexts, verdicts: Sequence[TaktVerdict]) -> list[TileRow]:
+    """Return one row of tiles for each kind of work."""
+    rows = [TileRow(str(each.work) if len(verdicts) > 1 else "", _tiles(texts, each)) for each in verdicts]
+    return [row for row in rows if row.tiles]
+
+
+def _tiles(texts: ReportTexts, found: TaktVerdict) -> tuple[Tile, ...]:
+    """Return today, the sequence asked for, and the best of the order found and the changes."""
+    today, best = found.today, found.best
+    tiles = []
+    if today is not None:
+        rests = texts("tiles.estimated")
+        if today.executions:
+            rests = texts("tiles.executions", executions=count(today.executions))
+        if today.executions == 1:
+            rests = texts("tiles.one_execution")
+        if found.apart:
+            key = "tiles.at_pace" if found.apart == "at_pace" else "tiles.rolled"
+            rests += texts(key, logged=fixed(today.as_logged_s, found.decimals))
+        what = texts("tiles.today") if today.sequence is None else today.sequence
+        tiles.append(Tile(what, fixed(today.mean_s, found.decimals), rests, _share(texts, today.within)))
+    asked = found.asked or (None if found.order else best)
+    if asked is not None and (today is None or today.sequence != asked.name):
+        change = of_sequence(texts, found, asked).removeprefix(", ")
+        share = _share(texts, found.share_within(asked))
+        tiles.append(Tile(asked.name, fixed(asked.expected_s, found.decimals), change, share))
+    if found.change is not None:
+        what = texts("tiles.change", label=found.change.label, name=found.change.sequence)
+        tiles.append(_tile(texts, found, what, found.change.expected_s, found.change.within))
+    elif found.order is not None and found.order.saves_s[1] > 0 and found.expected_s is not None:
+        tiles.append(_tile(texts, found, texts("tiles.order"), found.expected_s, found.within))
+    return tuple(tiles)
+
+
+def _tile(
+    texts: ReportTexts, found: TaktVerdict, what: str, mean_s: float, within: tuple[float, float, float] | None
+) -> Tile:
+    change = against_today(texts, found, mean_s).removeprefix(", ")
+    return Tile(what, fixed(mean_s, found.decimals), change, _share(texts, within))
+
+
+def _share(texts: ReportTexts, within: tuple[float, float, float] | None) -> str:
+    if within is None:
+        return ""
+    share, low, high = map(percent, within)
+    return texts("tiles.within", share=share, low=low.partition("\N{NO-BREAK SPACE}")[0], high=high)

@@ -16,12 +16,13 @@ EXAMPLE = """cyclekit simulate box-picking --out logs --executions 20 --seed 1
 \b
 Scenes:
   with a tracker     box-picking, pick-and-package, laser-zones, scanner-visits
+  of regular people  bench-crew
   without a tracker  scanner-fields, light-curtain, guard-door
   with waits         shared-fixture, handover, fed-line, four-fixtures,
                      machine-tending"""
 SCENES = (
-    *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "scanner-fields", "light-curtain"),
-    "guard-door",
+    *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "bench-crew"),
+    *("scanner-fields", "light-curtain", "guard-door"),
     *("shared-fixture", "handover", "fed-line", "four-fixtures", "machine-tending"),
 )
 """Names of the simulator's scenes; the simulator itself is imported only to simulate."""

@@ -9,13 +9,14 @@ from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.rule_file import read_rule
-from cyclekit_sim.scenes import FIELD_SCENES, SCENES
+from cyclekit_sim.scenes import FIELD_SCENES, HABIT_SCENES, SCENES
 from cyclekit_sim.short_cycles import write_short_cycles
 from cyclekit_sim.simulate import random_sequence, scene_places, simulate, simulate_sequence
 
 __all__ = [
     "COUPLED",
     "FIELD_SCENES",
+    "HABIT_SCENES",
     "SCENES",
     "FreshCycles",
     "MixedCauses",

@@ -28,9 +28,8 @@ def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bo
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]
     tracked = options.people in ("tracker", "both")
-    stations = (
-        {} if options.operator_log or not tracked else scene.stations
-    )  # the places of a recorded operator are unknown
+    unknown = options.operator_log or scene.habits or not tracked  # places of people who press no buttons
+    stations = {} if unknown else scene.stations
     for name, station in stations.items():
         where = f"xyz_m = {_numbers(station.xyz_m)}"
         lines += ["", f"[human_places.{name}]", where, f"radius_m = {station.radius_m}"]

@@ -17,7 +17,7 @@ from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import BUILT_IN, GOAL_SD_M, MIDDLE_SD_M, Scene
-from cyclekit_sim.walking import Leg, Press, away, stand, walk
+from cyclekit_sim.walking import Leg, Press, away, stand, sway, walk
 
 ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING, PARTS, COUPLING, SOURCE, HELPER, REPEATS = range(12)
 LOGGED, FRESH = range(2)
@@ -71,7 +71,7 @@ def legs_again(scene: Scene, legs: Sequence[Leg], into_s: float, rng: np.random.
     Raises:
         SimulationError: The operator visits: the legs do not show how long they have been away.
     """
-    if scene.operator == "visit":
+    if scene.operator in ("visit", "habits"):
         raise SimulationError(f"{scene.name}: futures are drawn for operators who deliver or roam")
     done, last = [leg.press for leg in legs if leg.press is not None], legs[-1]
     name, here = done[-1].goal, np.array(done[-1].goal_m)
@@ -87,11 +87,14 @@ def legs_again(scene: Scene, legs: Sequence[Leg], into_s: float, rng: np.random.
 
 
 def operator_legs(scene: Scene, rng: np.random.Generator) -> Iterator[Leg]:
-    """Yield the operator's legs: endless for roaming or visiting, otherwise up to the rest place when boxes run out."""
+    """Yield the operator's legs: endless, or of who delivers, up to the rest place when boxes run out."""
     if scene.operator == "visit":
         while True:
             yield away(scene.away_s[0] + rng.exponential(scene.away_s[1] - scene.away_s[0]))
             yield from _legs(scene, _visit(scene, rng), rng)
+    if scene.operator == "habits":
+        yield from _habitual(scene, rng)
+        return
     names = _roam(scene, rng) if scene.operator == "roam" else _deliver(scene, rng)
     yield from _legs(scene, names, rng)
 
@@ -157,6 +160,31 @@ def _visit(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
         return
     yield from (str(name) for name in rng.permutation(np.array(names))[: rng.integers(1, 4)])
     yield "door"
+
+
+def _habitual(scene: Scene, rng: np.random.Generator) -> Iterator[Leg]:
+    """Yield the legs of one of the scene's people, without end (`Habit`)."""
+    mine = scene.habits[rng.integers(len(scene.habits))]
+    here, far_stays = draw_goal(scene, "door", rng), 2
+    inside = rng.random() >= mine.begins_away
+    if inside:
+        name = str(rng.choice(mine.far))
+        here, far_stays = draw_goal(scene, name, rng), 1
+        yield _begin(sway(here, float(rng.uniform(*mine.stay_s)), mine.sway_m, rng), name, here)
+    while True:
+        if not inside:
+            yield away(float(rng.uniform(*mine.away_s)))
+            here, inside = draw_goal(scene, "door", rng), True
+            yield stand(here, _dwell_s(scene, "door", rng))
+        near = far_stays <= 0 and rng.random() < mine.near_share
+        name, far_stays = str(rng.choice(mine.near if near else mine.far)), far_stays - 1
+        there = draw_goal(scene, name, rng)
+        yield draw_walk(scene, here, there, name, rng)
+        yield sway(there, float(rng.uniform(*mine.stay_s)), mine.sway_m, rng)
+        here = there
+        if far_stays <= 0 and rng.random() < mine.leaves:
+            yield draw_walk(scene, here, draw_goal(scene, "door", rng), "door", rng)
+            inside = False
 
 
 def draw_walk(scene: Scene, here: Array, there: Array, name: str, rng: np.random.Generator) -> Leg:

@@ -31,6 +31,29 @@ class Station:
 
 
 @dataclass(frozen=True)
+class Habit:
+    """What one person usually does: he begins away or at a far station, comes near, and stays there more and more.
+
+    Attributes:
+        begins_away: Share of his executions that begin without him; he comes within `away_s`.
+        far, near: Stations, by name; the first two stays are at far ones.
+        near_share: Share of the later stays that are at near ones.
+        leaves: Share of the later stays after which he goes away for a while.
+        away_s, stay_s: Minimum and maximum absence and stay, s.
+        sway_m: Standard deviation of his position at work, m, on each axis of the floor.
+    """
+
+    begins_away: float
+    far: tuple[str, ...]
+    near: tuple[str, ...]
+    near_share: float
+    leaves: float
+    away_s: tuple[float, float]
+    stay_s: tuple[float, float]
+    sway_m: float
+
+
+@dataclass(frozen=True)
 class Scene:
     """One cell.
 
@@ -47,7 +70,8 @@ class Scene:
         walk_m_s: Minimum and maximum walking speed.
         operator: "deliver": boxes from `inbound` to each outbound station once, then rest. "roam": from station to
             station without end. "visit": away for a while, in by `door` to one to three stations, and out again,
-            without end and independent of the robot.
+            without end and independent of the robot. "habits": one of the people in `habits`, who begins anew with
+            each execution and goes on without end.
         away_s: Minimum and mean absence of an operator who visits.
         passing: Share of visits in which a person only walks by, in at `door` and out at `exit`.
         fields: Fields, for logs with signals of people; they then define the safety function.
@@ -67,6 +91,7 @@ class Scene:
     place_s: float
     walk_m_s: tuple[float, float]
     operator: str
+    habits: tuple[Habit, ...] = ()
     repeats_slots: bool = False
     wait_s: float = 0.0
     continuous: bool = False
@@ -225,6 +250,35 @@ def _scanner_visits() -> Scene:
     )
 
 
+def _bench_crew() -> Scene:
+    """Return a scene with four people of different habits, each recorded again and again, and no log of buttons."""
+    stations = {
+        "door": _station(3.4, 1.6, (0.2, 0.6)),
+        "stock": _station(3.2, -1.6, (4.0, 9.0)),
+        "desk": _station(2.7, 1.9, (4.0, 9.0)),
+        "rack": _station(-1.6, 2.2, (4.0, 9.0)),
+        "bench": _station(0.5, 1.35, (4.0, 9.0)),
+        "rework": _station(0.3, -1.35, (4.0, 9.0)),
+        "panel": _station(1.55, 0.35, (4.0, 9.0)),
+    }
+    levels = (0.0, 0.3, 0.6, 1.0)
+    return replace(
+        _scanner_visits(),
+        name="bench-crew",
+        places=_slots((-0.32, -0.16, 0.0, 0.16, 0.32), 0.60),
+        picks=10,
+        stations=stations,
+        safety=DistanceStaircase(levels, (0.8, 1.2, 1.7)),
+        operator="habits",
+        habits=(
+            Habit(0.8, ("stock", "desk"), ("bench",), 0.7, 0.10, (3.0, 12.0), (4.0, 10.0), 0.04),
+            Habit(0.1, ("desk", "rack"), ("panel", "bench"), 0.5, 0.05, (5.0, 20.0), (3.0, 7.0), 0.07),
+            Habit(0.3, ("stock", "rack"), ("rework",), 0.5, 0.15, (4.0, 15.0), (6.0, 15.0), 0.05),
+            Habit(0.2, ("desk", "stock", "rack"), ("panel", "rework"), 0.4, 0.10, (5.0, 15.0), (2.0, 6.0), 0.09),
+        ),
+    )
+
+
 def _three_fields() -> tuple[Field, ...]:
     """Return fields of a scanner for box-picking: a warning field, and a protective field on either side."""
     return (
@@ -303,9 +357,11 @@ def _guard_door() -> Scene:
 
 TRACKED = (_box_picking(), _pick_and_package(), _laser_zones(), _scanner_visits())
 BUILT_IN: dict[str, Scene] = {
-    scene.name: scene for scene in (*TRACKED, _scanner_fields(), _light_curtain(), _guard_door())
+    scene.name: scene for scene in (*TRACKED, _scanner_fields(), _light_curtain(), _guard_door(), _bench_crew())
 }
 SCENES: tuple[str, ...] = tuple(scene.name for scene in TRACKED)
-"""Scenes with a tracker."""
-FIELD_SCENES: tuple[str, ...] = tuple(name for name in BUILT_IN if name not in SCENES)
+"""Scenes with a tracker and a log of the operator's buttons."""
+HABIT_SCENES: tuple[str, ...] = tuple(name for name, scene in BUILT_IN.items() if scene.habits)
+"""Scenes with a tracker alone, where people have habits of their own."""
+FIELD_SCENES: tuple[str, ...] = tuple(name for name, scene in BUILT_IN.items() if not scene.tracked)
 """Scenes without a tracker, where only signals show people."""

@@ -238,7 +238,9 @@ def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> 
 
 def _signal_logs(work: Work | CoupledWork) -> tuple[bool, bool]:
     """Return whether there are event logs, and digital inputs in the robot's log."""
-    return work.signal_logs if isinstance(work, CoupledWork) else (True, work.options.causes is not None)
+    if isinstance(work, CoupledWork):
+        return work.signal_logs
+    return not work.scene.habits, work.options.causes is not None
 
 
 def _facts(work: Work | CoupledWork) -> str:

@@ -17,6 +17,7 @@ from cyclekit_sim.arm import Array
 _KNOT_S = 0.02
 _ROOM = 4096
 _WALK_ACCELERATION_M_S2 = 1.5
+_SWAY_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -146,6 +147,14 @@ def walk(start_m: Array, middle_m: Array, goal_m: Array, speed_m_s: float) -> Le
 def stand(at_m: Array, length_s: float) -> Leg:
     """Return a dwell of `length_s` at `at_m` (3,)."""
     return Leg(np.array([0.0, length_s]), np.stack([at_m, at_m]))
+
+
+def sway(at_m: Array, length_s: float, sd_m: float, rng: np.random.Generator) -> Leg:
+    """Return a dwell of `length_s` at work about `at_m` (3,): another position each _SWAY_S, begun and ended there."""
+    t = np.linspace(0.0, length_s, max(2, round(length_s / _SWAY_S) + 1))
+    xyz_m = np.tile(at_m, (len(t), 1))
+    xyz_m[1:-1, :2] += rng.normal(0.0, sd_m, (len(t) - 2, 2))
+    return Leg(t, xyz_m)
 
 
 def away(length_s: float) -> Leg:

@@ -17,7 +17,7 @@ import pytest
 
 from cyclekit.cli import main, without_warnings_of_libraries
 from cyclekit.cli.simulate import SCENES as OF_THE_COMMAND
-from cyclekit_sim import COUPLED, FIELD_SCENES, SCENES
+from cyclekit_sim import COUPLED, FIELD_SCENES, HABIT_SCENES, SCENES
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -140,4 +140,4 @@ def test_no_command_shows_a_warning_that_a_library_has_for_programmers(monkeypat
 
 
 def test_simulate_knows_every_scene_of_the_simulator() -> None:
-    assert set(OF_THE_COMMAND) == {*SCENES, *FIELD_SCENES, *COUPLED}
+    assert set(OF_THE_COMMAND) == {*SCENES, *HABIT_SCENES, *FIELD_SCENES, *COUPLED}

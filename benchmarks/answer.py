@@ -276,7 +276,7 @@ def dynamics(asked: argparse.Namespace) -> None:
     cell = logged(asked.work, "box-picking", 60, options=SimulationOptions(**true), kind="dyn")
     nominal = nominal_tasks(cell.dataset)
     executions = logged_sequences(cell.dataset, nominal)
-    tracks = operator_tracks(cell.dataset, horizon_s=300.0, phases=1)
+    tracks = operator_tracks(cell.dataset, horizon_s=300.0)
     took = logged_durations(cell.dataset, executions)
     for name, model in (("network", cell.model), ("true function", TrueStaircase(true["hysteresis_m"]))):
         for told in (False, True):

@@ -4,9 +4,12 @@
 
 The scene is `scanner-visits`: four levels with hysteresis, a scanner's rectangle that limits the speed, ramps, latency,
 a tracker that writes no rows without an operator, one file per execution, places at whole centimetres. `box-picking`
-has the same response. The model is that of `train --model auto`: the rule read from the logs (the network, which is not
-used, is trained for one epoch). The orders were never logged; they are half as long, as long and twice as long as
-the logged ones. Ground truth is the mean of `--fresh` executions each, with other random streams than the logs.
+has the same response. In `bench-crew` four people with habits of their own begin anew with each execution, far or away,
+and come near; the robot answers at once. The model is that of `train --model auto`: the rule read from the logs (the
+network, which is not used, is trained for one epoch); with `--written` it is the simulator's safety function, so that
+only the operators must be learned. The orders were never logged; they are half as long, as long, twice and three times
+as long as the logged ones. Ground truth is the mean of `--fresh` executions each, with other random streams than the
+logs.
 
 Also printed: the uncorrected rollout, history, the Markov chain, and chance, the error of a mean of as many independent
 cycles of the logged length as were logged. `true function` is the rollout with the simulator's safety function and the
@@ -24,7 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from cells import FRESH_SEED, durations_of, fresh, logged
+from cells import FRESH_SEED, dataset_of, durations_of, fresh, logged
 from order_rivals import markov_s
 from rich.console import Console
 from rich.table import Table
@@ -50,9 +53,11 @@ HARD = SimulationOptions(
     silent_when_empty=True, delta_m=0.005,
 )  # fmt: skip
 TRUE = dataclasses.replace(HARD, delta_m=0.0)
-LENGTHS = {"half": 0.5, "same": 1.0, "twice": 2.0}
+CREW = SimulationOptions(executions_per_session=1, delta_m=0.005)
+LENGTHS = {"half": 0.5, "same": 1.0, "twice": 2.0, "thrice": 3.0}
 SCENE = "scanner-visits"
 STAIRS = {
+    "bench-crew": ((0.0, 0.8), (0.3, 1.2), (0.6, 1.7)),
     SCENE: ((0.0, 0.8), (0.3, 1.2), (0.6, 1.7)),
     "box-picking": ((0.0, 1.2), (0.25, 1.5), (0.5, 1.9), (0.75, 2.4)),
 }
@@ -71,7 +76,12 @@ def true_function(scene: str) -> RuleSafety:
         limits.append(LimitCard(scaling=level, within=RegionCard(nearer=(near,), rectangles=box)))
     levels = (*(level for level, _ in STAIRS[scene]), 1.0)
     rule = RuleCard(family="written", levels=levels, limits=tuple(limits), explained=1.0)
-    return RuleSafety(rule, TrainingCard(rule=rule)).with_hysteresis(HARD.hysteresis_m)
+    return RuleSafety(rule, TrainingCard(rule=rule)).with_hysteresis(options_of(scene).hysteresis_m)
+
+
+def options_of(scene: str) -> SimulationOptions:
+    """Return the options of the logs of a scene."""
+    return CREW if scene == "bench-crew" else dataclasses.replace(HARD, silent_when_empty=scene == SCENE)
 
 
 def orders(scene: str, known: set[str], count: int) -> dict[str, list[TaskSequence]]:
@@ -79,10 +89,17 @@ def orders(scene: str, known: set[str], count: int) -> dict[str, list[TaskSequen
     found: dict[str, list[TaskSequence]] = {name: [] for name in LENGTHS}
     seed = FRESH_SEED
     while any(len(some) < count for some in found.values()):
-        one, two = random_sequence(scene, seed), random_sequence(scene, seed + 1)
+        one, two, three = (random_sequence(scene, seed + further) for further in range(3))
         seed += 2
         middle = (len(one) - 2) // 2
-        for name, places in (("half", [*one[: 1 + middle], one[-1]]), ("same", one), ("twice", [*one[:-1], *two[1:]])):
+        twice = [*one[:-1], *two[1:]]
+        of_length = {
+            "half": [*one[: 1 + middle], one[-1]],
+            "same": one,
+            "twice": twice,
+            "thrice": [*twice[:-1], *three[1:]],
+        }
+        for name, places in of_length.items():
             sequence = TaskSequence(f"{name} {len(found[name]) + 1}", tuple(places))
             if len(found[name]) < count and known.issuperset(sequence.tasks):
                 found[name].append(sequence)
@@ -135,26 +152,31 @@ def _holds(found: CycleEstimate, true_s: float, error_s: float) -> bool:
     return bool(low_s <= true_s <= high_s)
 
 
-def of_set(work: Path, scene: str, executions: int, seed: int, count: int, many: int) -> dict[str, list[Row]]:
+def of_set(
+    work: Path, scene: str, executions: int, seed: int, count: int, many: int, *, written: bool
+) -> dict[str, list[Row]]:
     """Return the results of one set of logs by length of the order; print one line."""
-    silent = scene == SCENE
-    options, true = (dataclasses.replace(one, silent_when_empty=silent) for one in (HARD, TRUE))
-    cell = logged(work, scene, executions, seed=seed, options=options, kind="visits", rules=True, epochs=1)
-    model = predictor_of(cell.model)
-    if model is cell.model:
-        raise SystemExit(f"{cell.dataset.path}: no rule found")
-    check = check_rollout(model, cell.dataset)
-    asked = orders(scene, set(cell.dataset.tasks()["task"]), count)
+    options = options_of(scene)
+    true, how_logged = dataclasses.replace(options, delta_m=0.0), {"seed": seed, "options": options, "kind": "visits"}
+    if written:
+        dataset, model = dataset_of(work, scene, executions, **how_logged), true_function(scene)
+    else:
+        cell = logged(work, scene, executions, **how_logged, rules=True, epochs=1)
+        dataset, model = cell.dataset, predictor_of(cell.model)
+        if model is cell.model:
+            raise SystemExit(f"{dataset.path}: no rule found")
+    check = check_rollout(model, dataset)
+    asked = orders(scene, set(dataset.tasks()["task"]), count)
     every = [sequence for some in asked.values() for sequence in some]
     began = time.perf_counter()
-    answers = estimate(model, cell.dataset, every, check=check, refused=lambda s, e: OUT.print(f"{s.name}: {e}"))
+    answers = estimate(model, dataset, every, check=check, refused=lambda s, e: OUT.print(f"{s.name}: {e}"))
     took_s = (time.perf_counter() - began) / len(every)
     found = {entry.name: entry for entry in answers}
     known, history = (
-        {entry.name: entry.expected_s for entry in estimate(other, cell.dataset, every, **how)}
+        {entry.name: entry.expected_s for entry in estimate(other, dataset, every, **how)}
         for other, how in ((true_function(scene), {"validate": False}), (model, {"estimator": "history"}))
     )
-    chain = dict(zip((s.name for s in every), markov_s(cell.dataset, every), strict=True))
+    chain = dict(zip((s.name for s in every), markov_s(dataset, every), strict=True))
     rows = {
         length: [
             row_of(
@@ -210,6 +232,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--orders", type=int, default=3)
     parser.add_argument("--fresh", type=int, default=1000)
+    parser.add_argument("--written", action="store_true", help="use the simulator's safety function; train nothing")
     parser.add_argument("--work", type=Path)
     asked = parser.parse_args()
     table = Table(title=f"{asked.scene}: error of the expected cycle time, %")
@@ -221,7 +244,7 @@ def main() -> None:
         work = asked.work or Path(folder)
         for executions in asked.executions:
             some = (asked.scene, executions), (asked.orders, asked.fresh)
-            sets = [of_set(work, *some[0], seed, *some[1]) for seed in asked.seeds]
+            sets = [of_set(work, *some[0], seed, *some[1], written=asked.written) for seed in asked.seeds]
             add_rows(table, executions, sets)
     OUT.print(table)
 

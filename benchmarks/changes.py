@@ -143,7 +143,7 @@ def operator_of(scene: Scene, side: Operators, index: int, entry: int) -> Track:
 
 def beside(dataset: Dataset, seed: int, fresh: int, model: SafetyModel) -> tuple[Operators, Operators]:
     """Return the operators of an estimate from these logs, and `fresh` other ones."""
-    tracks = operator_tracks(dataset, horizon_s=LONG_S, phases=check_rollout(model, dataset).phases)
+    tracks = operator_tracks(dataset, horizon_s=LONG_S, anywhere=check_rollout(model, dataset).anywhere)
     return Operators(seed, len(set(tracks.executions)), tracks), Operators(JUDGED_SEED, fresh)
 
 

@@ -66,7 +66,7 @@ def rolled(
     """Return the cycles of programs with tracks of equal length; `owner`: their operators, `logged`: logged samples."""
     where, doing = (np.array(part) for part in zip(*((each.where, each.activity) for each in tracks), strict=True))
     names, kinds = tuple(f"{k:05}" for k in owner), tuple(BUILT_IN[SCENE].stations)
-    people = OperatorTracks(where, doing, kinds, logged, names, STEP_S, phase_free=True)
+    people = OperatorTracks(where, doing, kinds, logged, names, STEP_S)
     return list(roll_all(SAFETY, programs, people, None, dynamics=RESPONSE))
 
 
@@ -74,7 +74,7 @@ def of_set(programs: Sequence[Program], logs: Sequence[Stretch]) -> dict[str, tu
     """Return by way of entering the cycles of programs with these operators, and the weights of bootstrap samples."""
     lengths, own = [len(log.where) for log in logs], list(range(len(logs)))
     found = {}
-    where, doing = Continuation(logs, STEP_S, phase_free=True).extend(logs, own, LENGTH - 1)
+    where, doing = Continuation(logs, STEP_S).extend(logs, own, LENGTH - 1)
     tracks = [Stretch(*pair) for pair in zip(where, doing, strict=True)]
     found["beginning"] = rolled(programs, tracks, own, np.array(lengths)), resampled([f"{k:05}" for k in own], 0)
     entered = start_tracks(logs, STEP_S, entries=entries_of(len(logs)), length=LENGTH - 1)

@@ -133,7 +133,7 @@ def synergy_order(dataset: Dataset, jobs: Jobs, orders: Sequence[tuple[str, ...]
 def _tracks(dataset: Dataset, jobs: Jobs) -> OperatorTracks:
     nominal = nominal_of(dataset)
     longest = max(task.nominal_s + task.dwell_s + task.wait_s for task in nominal.values())
-    return operator_tracks(dataset, horizon_s=3 * longest * (2 * len(jobs.visit) + 2), phases=1, goals=True)
+    return operator_tracks(dataset, horizon_s=3 * longest * (2 * len(jobs.visit) + 2), goals=True)
 
 
 def _slowdown(

@@ -105,7 +105,7 @@ def rolled(
     names = tuple(f"{k:06}" for k in (range(count) if owner is None else owner))
     all_of_it = np.full(count, states.shape[1]) if logged is None else logged
     where, state = np.zeros((*states.shape, 3)), states[..., None].astype(np.float64)
-    people = OperatorTracks(where, states, model.states, all_of_it, names, STEP_S, phase_free=True, state=state)
+    people = OperatorTracks(where, states, model.states, all_of_it, names, STEP_S, state=state)
     response = Dynamics(cell.latency_s, cell.ramp_down_per_s, cell.ramp_up_per_s)
     return list(roll_all(model, programs, people, None, dynamics=response, seed=seed))
 

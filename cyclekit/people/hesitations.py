@@ -42,9 +42,13 @@ def quick_places(standstills: Iterable[OperatorStandstills], places: Mapping[str
 def without_hesitations(
     mine: OperatorStandstills, places: Mapping[str, Place], quick: Collection[str]
 ) -> OperatorStandstills:
-    """Return standstills without those shorter than STILL_S, except within an execution at places in `quick`."""
-    at_quick = np.array([name in quick for name in nearest_places(mine.at_m, places)], np.bool_)
-    return mine.only((mine.took_s >= STILL_S) | (at_quick & _inside(mine)))
+    """Return standstills without those shorter than STILL_S, except those at places that are cut or in `quick`.
+
+    A standstill at the start or end of what is known is cut: it lasted at least so long.
+    """
+    at = nearest_places(mine.at_m, places)
+    at_place, at_quick = (np.array([name in some for name in at], np.bool_) for some in (places, quick))
+    return mine.only((mine.took_s >= STILL_S) | np.where(_inside(mine), at_quick, at_place))
 
 
 def _inside(mine: OperatorStandstills) -> Bools:

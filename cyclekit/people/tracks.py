@@ -273,7 +273,7 @@ def find_operator_standstills(t_s: Vector, human_m: Points) -> list[tuple[int, i
     """Return the standstills in one execution's samples as (first, last) rows: slow for at least BRIEF_S.
 
     People at work sway, reach and step aside: a standstill continues as long as they stay within PLACE_M of it, also
-    where the tracker loses them for at most OCCLUDED_S.
+    where the tracker loses them for at most OCCLUDED_S. One that is not seen to begin or to end is cut by the log.
     """
     if len(t_s) < 3:
         return []
@@ -291,16 +291,21 @@ def _stays(spans: Sequence[tuple[int, int]], t_s: Vector, at_m: Floats) -> list[
     """
     found: list[tuple[int, int]] = []
     centre = np.full(2, np.nan)
+
+    def stays(first: int, last: int) -> bool:
+        rows = np.arange(first, last + 1)
+        rows = rows[np.isfinite(at_m[rows]).all(axis=1)]
+        near = np.linalg.norm(at_m[rows] - centre, axis=1) <= PLACE_M
+        return bool(near.all() and np.diff(t_s[[first, *rows, last]]).max(initial=0.0) <= OCCLUDED_S)
+
     for first, last in spans:
-        if found:
-            rows = np.arange(found[-1][1], last + 1)
-            rows = rows[np.isfinite(at_m[rows]).all(axis=1)]
-            near = np.linalg.norm(at_m[rows] - centre, axis=1) <= PLACE_M
-            if near.all() and np.diff(t_s[rows]).max(initial=0.0) <= OCCLUDED_S:
-                found[-1] = found[-1][0], last
-                continue
-        found.append((first, last))
+        if found and stays(found[-1][1], last):
+            found[-1] = found[-1][0], last
+            continue
         centre = np.median(at_m[first : last + 1], axis=0)
+        found.append((first if found or not stays(0, first) else 0, last))
+    if found and stays(found[-1][1], len(t_s) - 1):
+        found[-1] = found[-1][0], len(t_s) - 1
     return found
 
 
@@ -346,12 +351,8 @@ def goals_from_standstills(
     `standstills` are from `find_operator_standstills`; `at_m` are the operator's positions in them, shape (M, 3), m.
     """
     goals: list[str | None] = [None] * samples
-    names = list(places)
-    centres = np.array([places[name].xyz_m[:2] for name in names]).reshape(-1, 2)
     begin = 0
-    for (_, last), xyz_m in zip(standstills, at_m, strict=True):
-        far = np.linalg.norm(centres - xyz_m[:2], axis=1)
-        if len(far) and far.min() <= PLACE_M:
-            goals[begin : last + 1] = [names[int(far.argmin())]] * (last + 1 - begin)
+    for (_, last), name in zip(standstills, nearest_places(at_m, places), strict=True):
+        goals[begin : last + 1] = [name] * (last + 1 - begin)
         begin = last + 1
     return goals

@@ -40,7 +40,7 @@ def stays_s(activity: np.ndarray) -> tuple[list[float], list[float]]:
 def test_habits_stay_what_they_were_in_a_cycle_of_any_length(away: bool, length_s: float):
     rng = np.random.default_rng(3)
     logged = [operator(rng, length_s, away=away) for _ in range(30)]
-    where, activity = Continuation(logged, STEP_S, phase_free=True).extend(logged, list(range(30)), 3000)
+    where, activity = Continuation(logged, STEP_S).extend(logged, list(range(30)), 3000)
     assert where.shape == (30, 3000, 3)
     stays = [stays_s(doing) for doing in activity]
     short, long = (np.concatenate([one[kind] for one in stays]) for kind in (0, 1))
@@ -54,7 +54,7 @@ def test_what_was_logged_stays_and_nobody_jumps():
     rng = np.random.default_rng(4)
     walks = [0.5 * np.cumsum(rng.normal(0.0, 0.05, (200, 3)), axis=0) for _ in range(12)]
     logged = [Stretch(walk, np.zeros(200, dtype=np.int64)) for walk in walks]
-    where, _ = Continuation(logged, STEP_S, phase_free=True).extend(logged, list(range(12)), 700)
+    where, _ = Continuation(logged, STEP_S).extend(logged, list(range(12)), 700)
     for track, walk in zip(where, walks, strict=True):
         np.testing.assert_array_equal(track[:200], walk)
     usual = max(np.abs(np.diff(walk, axis=0)).max() for walk in walks)
@@ -65,17 +65,17 @@ def test_who_rests_when_his_work_is_done_goes_on_resting():
     work = np.tile(HERE, (100, 1))
     rest = np.tile(THERE, (60, 1))
     logged = [Stretch(np.concatenate([work, rest[: 30 + k]]), np.repeat([0, 1], [100, 30 + k])) for k in range(12)]
-    where, activity = Continuation(logged, STEP_S, phase_free=False).extend(logged, list(range(12)), 1000)
+    where, activity = Continuation(logged, STEP_S).extend(logged, list(range(12)), 1000)
     assert (activity[:, 100:] == 1).all()
     np.testing.assert_allclose(where[:, 200:], np.broadcast_to(THERE, (12, 800, 3)))
 
 
 def test_one_track_alone_goes_on_and_a_very_short_one_stands_still():
     walk = Stretch(np.linspace((1.0, 0.0, 0.2), (3.0, 0.0, 0.2), 50), np.zeros(50, dtype=np.int64))
-    where, _ = Continuation([walk], STEP_S, phase_free=True).extend([walk], [0], 120)
+    where, _ = Continuation([walk], STEP_S).extend([walk], [0], 120)
     assert np.isfinite(where).all()
     moment = Stretch(walk.where[:2], walk.activity[:2])
-    where, _ = Continuation([moment], STEP_S, phase_free=True).extend([moment], [0], 10)
+    where, _ = Continuation([moment], STEP_S).extend([moment], [0], 10)
     np.testing.assert_array_equal(where[0, 2:], np.tile(moment.where[-1], (8, 1)))
 
 
@@ -83,8 +83,7 @@ def test_same_seed_same_operator():
     rng = np.random.default_rng(5)
     logged = [operator(rng, 20.0) for _ in range(10)]
     one, two, other = (
-        Continuation(logged, STEP_S, phase_free=True).extend(logged, list(range(10)), 800, seed=seed)[0]
-        for seed in (1, 1, 2)
+        Continuation(logged, STEP_S).extend(logged, list(range(10)), 800, seed=seed)[0] for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(one, two)
     assert not np.array_equal(one, other)
@@ -93,7 +92,7 @@ def test_same_seed_same_operator():
 def test_what_an_operator_does_next_does_not_depend_on_how_far_he_is_continued():
     rng = np.random.default_rng(6)
     logged = [operator(rng, length_s) for length_s in (15.0, 20.0, 25.0, 30.0)]
-    continuation = Continuation(logged, STEP_S, phase_free=True)
+    continuation = Continuation(logged, STEP_S)
     (far, far_doing), (near, near_doing) = (continuation.extend(logged, range(4), length) for length in (900, 500))
     np.testing.assert_array_equal(far[:, :500], near)
     np.testing.assert_array_equal(far_doing[:, :500], near_doing)
@@ -103,9 +102,43 @@ def test_who_is_not_among_the_remembered_goes_on_as_well():
     rng = np.random.default_rng(7)
     logged = [operator(rng, 20.0) for _ in range(10)]
     strange = operator(rng, 3.0)
-    where, activity = Continuation(logged, STEP_S, phase_free=True).extend([strange], [-1], 600)
+    where, activity = Continuation(logged, STEP_S).extend([strange], [-1], 600)
     assert np.isfinite(where).all()
     assert set(activity[0].tolist()) == {0, 1}
+
+
+def with_known_tasks(track: Stretch) -> Stretch:
+    """As derived from stays: a walk or an absence has the place where it ends, which the end of the log may cut."""
+    standing = np.flatnonzero(track.activity >= 0)
+    follows = np.searchsorted(standing, np.arange(len(track.activity)))
+    known = follows < len(standing)
+    doing = np.where(known, track.activity[standing[np.minimum(follows, len(standing) - 1)]], -1)
+    return Stretch(track.where, doing)
+
+
+def who_walks(rng: np.random.Generator, length_s: float, *, away: bool) -> Stretch:
+    """Stays 3 to 5 s at one place, walks 4 s (or is away) to the other, and so on; a log begins at any time."""
+    parts = []
+    while sum(map(len, parts)) < (length_s + 40.0) / STEP_S:
+        for here, there in ((HERE, THERE), (THERE, HERE)):
+            parts.append(np.tile(here, (round(rng.uniform(3.0, 5.0) / STEP_S), 1)))
+            way = np.linspace(here, there, round(4.0 / STEP_S))
+            parts.append(np.full_like(way, np.nan) if away else way)
+    where = np.concatenate(parts)[rng.integers(0, 300) :][: round(length_s / STEP_S)]
+    places = [(where == place).all(axis=1) for place in (HERE, THERE)]
+    return with_known_tasks(Stretch(where, np.select(places, (0, 1), -1)))
+
+
+@pytest.mark.parametrize("away", [False, True])
+def test_a_walk_or_absence_that_the_end_of_the_log_cuts_goes_on_and_does_not_lead_to_other_ends(away: bool):
+    rng = np.random.default_rng(2)
+    logged = [who_walks(rng, 12.0, away=away) for _ in range(40)]
+    assert 10 < sum(track.activity[-1] < 0 for track in logged) < 30
+    where, activity = Continuation(logged, STEP_S).extend(logged, list(range(40)), 1000)
+    later = slice(200, None)  # beyond the logs
+    assert (activity[:, later] < 0).mean() < 0.2
+    stands = sum((where[:, later] == place).all(axis=2).mean() for place in (HERE, THERE))
+    assert stands == pytest.approx(0.5, abs=0.05)
 
 
 def beside_a_robot(rng: np.random.Generator, work_s: float) -> Stretch:
@@ -122,7 +155,7 @@ def test_he_is_there_for_as_long_as_in_the_logs_although_these_end_when_he_goes(
         rng = np.random.default_rng(seed)
         logged = [beside_a_robot(rng, 20.0) for _ in range(30)]
         usual = np.mean(np.concatenate([track.activity for track in logged]) == 0)
-        _, activity = Continuation(logged, STEP_S, phase_free=True).extend(logged, list(range(30)), 1500)
+        _, activity = Continuation(logged, STEP_S).extend(logged, list(range(30)), 1500)
         off.append(np.mean(activity[:, 500:] == 0) / usual - 1)
     assert np.mean(off) == pytest.approx(0.0, abs=0.05)
     assert np.std(off) < 0.035

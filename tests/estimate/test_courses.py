@@ -77,12 +77,14 @@ def test_courses_of_states_are_entered_at_several_instants(monkeypatch: pytest.M
     dataset = SimpleNamespace(rate_hz=10.0, executions=executions, card=CARD, path="cell")
     model = Mock(spec=OnStates)
     assert isinstance(model, OnStates)
-    found = tracks.operator_tracks(dataset, horizon_s=8.0, model=model)  # type: ignore[arg-type]
-    assert found.phase_free
+    found = tracks.operator_tracks(dataset, horizon_s=8.0, model=model, anywhere=1.0)  # type: ignore[arg-type]
     assert found.executions == tuple(names) * tracks.PHASES
     later = len(names) * 2
-    np.testing.assert_array_equal(found.activity[0, :50], logs[names[0]].activity)
-    np.testing.assert_array_equal(found.activity[later, :25], logs[names[0]].activity[25:])
+    np.testing.assert_array_equal(found.activity[0, :44], logs[names[0]].activity[6:])
+    np.testing.assert_array_equal(found.activity[later, :19], logs[names[0]].activity[31:])
+    as_logged = tracks.operator_tracks(dataset, horizon_s=8.0, model=model)  # type: ignore[arg-type]
+    assert as_logged.executions == tuple(names)
+    np.testing.assert_array_equal(as_logged.activity[0, :50], logs[names[0]].activity)
 
 
 def test_in_a_pause_between_executions_people_are_in_the_last_or_the_next_state_and_in_none_between(

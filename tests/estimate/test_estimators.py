@@ -147,13 +147,18 @@ def test_a_cycle_that_does_not_end_within_its_track_is_not_made_up(logged: Datas
 def test_an_operator_who_roams_is_entered_at_any_phase_and_one_who_begins_with_the_robot_is_not(
     hand_made: Any, logged: Dataset
 ):
-    assert not operator_tracks(logged, horizon_s=6.0).phase_free
+    assert len(operator_tracks(logged, horizon_s=6.0, anywhere=1.0).executions) == logged.executions.height
     t_s = np.arange(0.0, 80.0, 0.5)
     way = {float(t): (2.5 + np.sin(t / 2.3), np.cos(t / 3.1)) for t in t_s}
     found = hand_made({"a": ([0.0] * 13, way)})
-    assert operator_tracks(found, horizon_s=6.0).phase_free
-    tracks = operator_tracks(found, horizon_s=6.0)
     count = found.executions.height
+    assert operator_tracks(found, horizon_s=6.0).executions == tuple(found.executions["execution"])  # as logged
+    mixed = operator_tracks(found, horizon_s=6.0, anywhere=0.5)
+    begun = operator_tracks(found, horizon_s=6.0).xyz_m
+    same = [(track[:40] == begun[:, :40]).all(axis=(1, 2)).any() for track in mixed.xyz_m]
+    assert len(same) == ENTRIES * count
+    assert sum(same) >= 0.5 * len(same)
+    tracks = operator_tracks(found, horizon_s=6.0, anywhere=1.0)
     assert len(tracks.executions) == ENTRIES * count
     assert set(tracks.executions) == set(found.executions["execution"])
     at_s = found.executions["start_s"][0] + np.arange(60) / 10  # the log runs on, and so does he

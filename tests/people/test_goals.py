@@ -90,6 +90,21 @@ def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_nex
     assert goals_from_standstills(stays[:1], at_m[:1], len(human), spots)[60] is None
 
 
+def test_a_stay_cut_by_the_start_or_the_end_of_the_log_has_its_place_and_a_cut_walk_has_none():
+    t_s, human = staying()
+    swayed = human.copy()
+    swayed[:5, 0] = 0.1 * np.array([1, -1, 1, -1, 1])  # reaches quickly as the log begins, and as it ends
+    swayed[-5:, 0] = 0.1 * np.array([1, -1, 1, -1, 1])
+    places = {"bench": Place("bench", (0.0, 0.0, 0.2), 0.4, inferred=True)}
+    for until, known in ((len(t_s), True), (95, False)):  # the second log ends on the way back
+        cut = swayed[:until]
+        stays = find_operator_standstills(t_s[:until], cut)
+        at_m = np.array([np.median(cut[a : b + 1], axis=0) for a, b in stays])
+        goals = goals_from_standstills(stays, at_m, until, places)
+        assert goals[0] == "bench"
+        assert goals[-1] == ("bench" if known else None)
+
+
 def test_the_operators_task_and_goal_are_those_of_the_buttons(boxes: SimulatedCell):
     found, start = boxes.dataset.samples(), boxes.executions["start_s"][0]
     truth = boxes.samples.select(t_s=pl.col("t_s") - start, true="human_task").sort("t_s")

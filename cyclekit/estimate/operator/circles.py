@@ -78,6 +78,18 @@ def start_tracks(
     return TrackStarts(where[rows], activity[rows], order[log], at - first[log], ends[log] - at)
 
 
+def mixed_starts(kinds: Sequence[TrackStarts], share: float | None) -> TrackStarts:
+    """Return tracks that start with their execution and, this share of them, anywhere; None: all of both kinds."""
+    counts = [len(kind.owner) for kind in kinds]
+    if share is not None:
+        counts = [counts[1] - round(share * counts[1]), round(share * counts[1])]
+    chosen = [
+        [part[np.arange(count) * len(part) // count] for part in kind]
+        for kind, count in zip(kinds, counts, strict=True)
+    ]
+    return TrackStarts(*(np.concatenate(pair) for pair in zip(*chosen, strict=True)))
+
+
 def _followers(logs: Sequence[Stretch], step_s: float, really: Mapping[int, int]) -> dict[int, int]:
     """Return the follower of each log: the one that really followed, else the assigned one."""
     ends = [k for k in range(len(logs)) if k not in really]

@@ -5,8 +5,9 @@ begins in the same state: task, position, velocity, and how long the operator ha
 similar tracks is drawn. A logged execution ends when the robot has finished, which depends on what the operator did
 before and not on what he does next. So what followed the same state elsewhere is an unbiased draw, whatever the length
 of the execution that it comes from. (A block bootstrap with matched blocks: Carlstein, Do, Hall, Hesterberg and Künsch,
-Bernoulli 4, 1998.) No state describes the operator fully, and logs end more often while he is away; so the instants
-have weights by which all parts of the logs are used equally often (`Continuation._weights`).
+Bernoulli 4, 1998.) Nothing that only a log's end knows may enter the state, or ends match ends: a task that the end
+cuts (he walks, or is away, before it) is unknown and may be any, and the time since the start of the cycle does not
+count, as all that is as late as the end of a log is near an end.
 """
 
 from __future__ import annotations
@@ -26,8 +27,6 @@ NEAR_M = 0.4
 """Distance between two positions, m, that counts as one unit of difference between states."""
 NEAR_M_S = 0.5
 """Difference in velocity, m/s, that counts as one unit."""
-PHASE_S = 10.0
-"""Difference in time since the start of the cycle, s, that counts as one unit, if habits depend on that time."""
 ELAPSED = 2.0
 """Units per natural logarithm of the ratio of times at the task; times below 1 s count as 1 s."""
 OTHER_TASK = 5.0
@@ -50,14 +49,6 @@ CANDIDATES = 15
 """Maximum number of tracks, the most similar ones, from which a stretch is drawn."""
 MAX_EXCESS = 1.5
 """Maximum difference of a candidate beyond that of the best one, units."""
-ITERATIONS = 60
-"""Number of iterations that find the weights of the instants."""
-MAX_WEIGHED = 400
-"""Maximum number of tracks for which weights are computed; with more, all instants have equal weight."""
-PARTS = 4
-"""Number of parts of a track that have separate weights."""
-MAX_WEIGHT = 30.0
-"""Maximum weight of an instant; the minimum is its inverse."""
 BLEND_S = 1.0
 """Time over which the jump between two tracks is smoothed, s; at most the length of the shortest stretch."""
 AT_ONCE = 2_000_000
@@ -85,62 +76,23 @@ class _Piece:
 class Continuation:
     """Stretches of logged tracks that can continue a track, looked up by state."""
 
-    def __init__(self, tracks: Sequence[Stretch], step_s: float, *, phase_free: bool) -> None:
+    def __init__(self, tracks: Sequence[Stretch], step_s: float) -> None:
         """Compute the states of all logged tracks.
 
         Args:
             tracks: One per execution, from its start.
             step_s: Time between samples.
-            phase_free: Whether the operator's habits do not depend on the time since the start of the cycle.
         """
         self._step_s = step_s
         self._logs = logs = LoggedStates(tracks, step_s)
         self._kinds = 1 + int(logs.activity.max(initial=-1))
-        lengths = logs.last + 1 - logs.first
-        self._latest_s = 0.0 if phase_free or not len(lengths) else float(np.quantile(lengths, 0.5)) * step_s
         every, least = max(1, round(EVERY_S / step_s)), max(1, round(MIN_S / step_s))
         instants = [np.arange(begin, end + 1 - least, every) for begin, end in zip(logs.first, logs.last, strict=True)]
         self._owner = np.repeat(np.arange(len(instants)), [len(some) for some in instants])
         self._at = np.concatenate([np.empty(0, np.int64), *instants])
-        since = self._at - logs.first[self._owner]
-        self._states = np.hstack([logs.states(self._at, self._kinds), self._times(logs.spell[self._at], since)])
+        self._states = np.hstack([logs.states(self._at, self._kinds), self._elapsed(logs.spell[self._at])[:, None]])
+        self._known = (logs.activity[self._at] >= 0) * (0.5 * OTHER_TASK**2)
         self._owners, self._begins = np.unique(self._owner, return_index=True)
-        self._weight: Vector | None = None
-
-    def _weights(self) -> Vector:
-        """Return the weight of each instant in the draw, shape (instants,): all parts of the logs are used equally.
-
-        With similarity alone a few tracks follow each other again and again, their ends more often than their
-        beginnings, and would be overrepresented. The end of each track leads to instants of similar state. Their
-        weights, one for each of PARTS parts of a track, are iterated until an endless track would use every part as
-        often as it occurs in the logs.
-        """
-        logs, count = self._logs, len(self._logs.last)
-        length = (logs.last + 1 - logs.first).astype(np.float64)
-        times = self._times(logs.spell[logs.last], length.astype(np.int64) - 1)
-        found, near = self.nearest(np.hstack([logs.states(logs.last, self._kinds), times]), np.arange(count))
-        may = np.arange(found.shape[1]) < near[:, None]
-        to = self._owner[found]
-        into = (self._at[found] - logs.first[to]) / length[to]  # where the stretch begins in its track, in [0, 1)
-        begin = np.arange(PARTS) / PARTS
-        covers = np.clip(begin + 1.0 / PARTS - into[..., None], 0.0, 1.0 / PARTS) * length[to][..., None]
-        covers[~may] = 0.0
-        part = to * PARTS + (into * PARTS).astype(np.int64)
-        every = (to[..., None] * PARTS + np.arange(PARTS)).ravel()
-        weight, at = np.ones(count * PARTS), length / length.sum()
-        wanted = np.repeat(length / length.sum() / PARTS, PARTS)
-        for _ in range(ITERATIONS):
-            step = np.where(may, weight[part], 0.0)
-            step *= (at / step.sum(axis=1))[:, None]
-            at = 0.5 * at + 0.5 * np.bincount(to.ravel(), step.ravel(), minlength=count)
-            used = np.bincount(every, (step[..., None] * covers).ravel(), minlength=len(weight))
-            off = np.clip(wanted / np.maximum(used / used.sum(), 1e-9), 0.1, 10.0)
-            ahead = (covers * off[every].reshape(covers.shape)).sum(axis=2) / np.maximum(covers.sum(axis=2), 1e-9)
-            total = np.bincount(part[may], minlength=len(weight))
-            mean = np.bincount(part[may], ahead[may], minlength=len(weight)) / np.maximum(total, 1)
-            weight = np.clip(weight * np.where(total > 0, mean, 1.0) ** 0.5, 1.0 / MAX_WEIGHT, MAX_WEIGHT)
-        parts = ((self._at - logs.first[self._owner]) / length[self._owner] * PARTS).astype(np.int64)
-        return np.asarray(weight[self._owner * PARTS + parts])
 
     def extend(
         self, begun: Sequence[Stretch], owners: Sequence[int], length: int, *, seed: int = 0
@@ -179,9 +131,8 @@ class Continuation:
         )
         end = np.where(owners >= 0, owners, len(logs.last) + np.arange(len(begun)))  # number among all ends
         while len(short := np.flatnonzero(filled < length)):
-            times = self._times(spell[short], filled[short])
             uniform = rng.random(len(begun))[short]  # does not depend on the length of the other tracks
-            source = choices.draw(end[short], times, uniform)
+            source = choices.draw(end[short], self._elapsed(spell[short]), uniform)
             owner, instant = self._owner[source], self._at[source]
             last = logs.last[owner]
             count = last - instant
@@ -192,11 +143,9 @@ class Continuation:
             filled[short] += count
         return pieces
 
-    def _times(self, spell: Ints, since: Ints) -> Points:
-        """Return two times in units, shape (N, 2), from samples (N,): at the task, and since the cycle began."""
-        elapsed_s = np.clip(spell * self._step_s, 1.0, LONG_S)
-        phase_s = np.minimum(since * self._step_s, self._latest_s)
-        return np.stack([ELAPSED * np.log(elapsed_s), phase_s / PHASE_S], axis=1)
+    def _elapsed(self, spell: Ints) -> Vector:
+        """Return times at the task in units, shape (N,), from samples (N,)."""
+        return np.asarray(ELAPSED * np.log(np.clip(spell * self._step_s, 1.0, LONG_S)))
 
     def nearest(self, states: Points, ends: Ints) -> tuple[Ints, Ints]:
         """Return the most similar instant of each of CANDIDATES tracks, for each state (N, features).
@@ -209,10 +158,13 @@ class Continuation:
             Numbers of instants, most similar first, shape (N, tracks), and how many are similar enough, shape (N,).
         """
         found, counts = [], []
+        doing = slice(-1 - self._kinds, -1)
         at_once = max(1, AT_ONCE // len(self._at))
         for first in range(0, len(states), at_once):
             some = states[first : first + at_once]
             squares = (some**2).sum(axis=1)[:, None] + (self._states**2).sum(axis=1) - 2.0 * some @ self._states.T
+            unknown = np.asarray(~some[:, doing].any(axis=1), dtype=np.float64)
+            squares -= unknown[:, None] * self._known  # a task that is not known may be any
             away = np.sqrt(np.maximum(np.minimum.reduceat(squares, self._begins, axis=1), 0.0))
             away += ITSELF * (self._owners == ends[first : first + at_once, None])
             best = np.argsort(away, axis=1, kind="stable")[:, :CANDIDATES]
@@ -224,12 +176,6 @@ class Continuation:
                 for row, tracks in zip(squares, best.tolist(), strict=True)
             ]
         return np.array(found), np.concatenate(counts)
-
-    def weight_of(self, instants: Ints) -> Vector:
-        """Return the weights of an array of instants, in the same shape."""
-        if self._weight is None:
-            self._weight = self._weights() if len(self._logs.last) <= MAX_WEIGHED else np.ones(len(self._at))
-        return np.asarray(self._weight[instants])
 
     def _write(self, where: Points, activity: Ints, pieces: Sequence[_Piece]) -> None:
         """Write the pieces into tracks, shape (K, length, 3 or 6) and (K, length), in place."""
@@ -265,19 +211,19 @@ class _Choices:
 
     def __init__(self, continuation: Continuation, ends: Points) -> None:
         self._continuation, self._ends = continuation, ends
-        self._number: dict[tuple[int, ...], int] = {}
+        self._number: dict[tuple[int, int], int] = {}
         self._instants: list[Ints] = []
         self._counts: list[int] = []
 
-    def draw(self, end: Ints, times: Points, uniform: Vector) -> Ints:
+    def draw(self, end: Ints, elapsed: Vector, uniform: Vector) -> Ints:
         """Draw an instant for each of N tracks and return its number.
 
         Args:
             end: Number of the end of the track, shape (N,).
-            times: The two times of its state, in units, shape (N, 2).
+            elapsed: Time at its task, in units, shape (N,).
             uniform: Uniform random numbers in [0, 1), shape (N,).
         """
-        about = np.rint(times / TIME_GRID).astype(np.int64)
+        about = np.rint(elapsed / TIME_GRID).astype(np.int64)
         keys = list(map(tuple, np.column_stack([end, about]).tolist()))
         if new := [key for key in dict.fromkeys(keys) if key not in self._number]:
             missing = np.array(new)
@@ -288,10 +234,7 @@ class _Choices:
             self._counts += counts.tolist()
         number = np.array([self._number[key] for key in keys])
         instants = np.array(self._instants)[number]
-        weight = self._continuation.weight_of(instants)
-        weight[np.arange(weight.shape[1]) >= np.array(self._counts)[number][:, None]] = 0.0
-        until = np.cumsum(weight, axis=1)
-        which = (until < (uniform * until[:, -1])[:, None]).sum(axis=1)
+        which = (uniform * np.array(self._counts)[number]).astype(np.int64)
         return np.asarray(instants[np.arange(len(instants)), which])
 
 

@@ -1,11 +1,12 @@
 """Operator tracks from the logs, as long as the longest cycle that is rolled out with them.
 
-A track begins where its execution began. If the operator's behaviour does not depend on the phase of the cycle, all
-logs are joined to `circles`, and tracks start at even steps along them: a cycle may begin at any instant.
+A track begins where its execution began: that was logged. That a cycle may as well begin at any other instant of the
+operator's day is a departure, made as far as the validation bears it (`operator_model`): then a share of the tracks
+starts at even steps along `circles` of all logs.
 
 If a cycle takes longer than the logged one, the track continues: with what the operator really did next, if the log
-runs on; else with the next log of its circle or, if the operator starts with the cycle, with a stretch of another track
-that begins in the same state (`continuation`), repeatedly, to any length.
+runs on; else with a stretch of another track that begins in the same state (`continuation`), repeatedly, to any length.
+On circles it continues with the next log.
 
 While the operator was briefly hidden he was still present: positions are interpolated linearly between the last sight
 and the next. Only while he was away is there no operator.
@@ -21,7 +22,7 @@ import polars as pl
 from scipy.special import chdtri, ndtr
 
 from cyclekit.errors import DatasetError, EstimateError
-from cyclekit.estimate.operator.circles import TrackStarts, start_tracks
+from cyclekit.estimate.operator.circles import TrackStarts, mixed_starts, start_tracks
 from cyclekit.estimate.operator.continuation import Continuation, Stretch
 from cyclekit.estimate.operator.courses import continue_courses
 from cyclekit.estimate.operator.pauses import RUN_ON_S, runs_on, starting_scaling
@@ -41,9 +42,10 @@ ENTRIES, MIN_ENTRIES = 8, 4
 MANY = 320
 """Maximum number of tracks along circles, unless MIN_ENTRIES per execution are more."""
 PHASES = 4
-"""Number of instants per execution at which a course of states starts, if `phase_is_free`."""
+"""Number of instants per execution at which a course of states starts, apart from its beginning."""
 SHORTEST = 0.1
 """Share of executions that may be shorter than the span over which these instants are spread."""
+
 SAME_SPREAD = 1.65
 """Threshold of `phase_is_free`: ratio of the operator's spread at one instant of the cycle to that at all times."""
 SURE_Z = 3.5
@@ -66,7 +68,6 @@ class OperatorTracks:
         executions: Name of the execution of each track; several tracks can be of one.
         step_s: Time between samples.
         goal_m: g_h, shape (K, T, 3); NaN = unknown; None if not requested.
-        phase_free: Result of `phase_is_free` for these logs.
         runs_on: Whether most executions, with the operator, are followed by the next one without a pause.
         state: Input of the safety function in place of x_h, shape (K, T, D), D not 3; None: its input is x_h.
         scaling: Scaling at the start, shape (K,); NaN or None: as commanded.
@@ -79,7 +80,6 @@ class OperatorTracks:
     executions: tuple[str, ...]
     step_s: float
     goal_m: NDArray[np.float64] | None = None
-    phase_free: bool = False
     runs_on: bool = False
     state: NDArray[np.float64] | None = None
     scaling: NDArray[np.float64] | None = None
@@ -114,8 +114,7 @@ def operator_tracks(
     *,
     horizon_s: float,
     operator: Sequence[str] | None = None,
-    phases: int | None = None,
-    beginnings: bool = False,
+    anywhere: float | None = 0.0,
     goals: bool = False,
     model: SafetyModel | None = None,
 ) -> OperatorTracks:
@@ -129,10 +128,9 @@ def operator_tracks(
         dataset: The logs.
         horizon_s: Longest cycle that will be requested.
         operator: Use only executions in which the operator's tasks begin in this order.
-        phases: 1: each execution from its beginning. None: the same, unless `phase_is_free` and no order is requested:
-            then tracks start along circles of logs, and courses of states at PHASES instants of each log.
-        beginnings: Also return each execution from its beginning, before the tracks along circles. Courses of states
-            always come first from their beginning, in the order of the executions.
+        anywhere: Share of the tracks that start at any instant: along circles of logs, and courses of states at PHASES
+            instants of each log; the others start where their executions do, as do all for a requested order and unless
+            `phase_is_free`. None: all of both, the beginnings first, in the order of the executions.
         goals: Also return g_h.
         model: The model that will use the tracks; one of states gets states in place of positions.
         EstimateError: No execution has an operator track, or none matches `operator`.
@@ -155,19 +153,23 @@ def operator_tracks(
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
-    free, length = phase_is_free(tracks), int(np.ceil(horizon_s / step)) + 2
-    after, mine = _after(dataset), {name: tracks[name] for name in begins}
-    anywhere = operator is None and free and phases is None
-    parts = [_on_circles(mine, after, step, length)] if anywhere and not on_states else []
-    if beginnings or not parts:
-        instants = _instants([len(track.where) for track in mine.values()]) if anywhere and on_states else [0]
-        parts.insert(0, _continued(tracks, begins, after, step, length, instants, states=on_states, free=free))
-    starts = parts[0] if len(parts) == 1 else TrackStarts(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    length, after, mine = int(np.ceil(horizon_s / step)) + 2, _after(dataset), {name: tracks[name] for name in begins}
+    share = 0.5 if anywhere is None else anywhere
+    share = share if operator is None and phase_is_free(tracks) else 0.0
+    parts = []
+    if share < 1.0:
+        parts.append(_continued(tracks, begins, after, step, length, [0], states=on_states))
+    if share > 0.0 and on_states:
+        instants = _instants([len(track.where) for track in mine.values()])
+        parts.append(_continued(tracks, begins, after, step, length, instants, states=on_states))
+    elif share > 0.0:
+        parts.append(_on_circles(mine, after, step, length))
+    starts = parts[0] if len(parts) == 1 else mixed_starts(parts, None if anywhere is None else share)
     where, activity, owner, begin, logged = starts
     executions = tuple(begins[k] for k in owner.tolist())
     scaling = starting_scaling(dataset, executions, begin, Dynamics.of(dataset.card.dynamics, model).ramp_up_per_s)
     goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
-    rest = tuple(names), logged, executions, step, goal_m, free, runs_on(dataset), state, scaling
+    rest = tuple(names), logged, executions, step, goal_m, runs_on(dataset), state, scaling
     return OperatorTracks(where[..., :3], activity, *rest)
 
 
@@ -198,7 +200,6 @@ def _continued(
     instants: Sequence[int],
     *,
     states: bool,
-    free: bool,
 ) -> TrackStarts:
     """Return executions from these samples on, continued with stretches of others."""
     ran_on = [_run_on(tracks, [name, *after[name]], step, states=states) for name in begins]
@@ -206,11 +207,11 @@ def _continued(
     streams = [Stretch(ran_on[k][0].where[at:], ran_on[k][0].activity[at:]) for k, at in entries]
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
-    if states and free:
+    if states and instants[-1]:  # begun at any instant, so what follows may begin at any too
         where, activity = continue_courses(streams, pool, length)
     else:
         owners = [followed.get(ran_on[k][1], -1) for k, _ in entries]
-        where, activity = Continuation(pool, step, phase_free=free).extend(streams, owners, length)
+        where, activity = Continuation(pool, step).extend(streams, owners, length)
     owner, begin = (np.array(part) for part in zip(*entries, strict=True))
     return TrackStarts(where, activity, owner, begin, np.array([len(stream.where) for stream in streams]))
 
@@ -222,15 +223,16 @@ def _instants(lengths: Sequence[int]) -> list[int]:
     operator was in the way: such times would be started more rarely than they occur.
     """
     within = int(np.quantile(lengths, SHORTEST, method="lower"))
-    return [within * phase // PHASES for phase in range(PHASES)]
+    return [within * (2 * phase + 1) // (2 * PHASES) for phase in range(PHASES)]
 
 
 def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:
-    """Return whether a cycle may begin at any instant of the operator's day.
+    """Return whether nothing in the operator's positions shows that a cycle may not begin at any instant of his day.
 
-    This holds if at the beginning, at a third and at two thirds of the shortest execution he behaves as at any time
-    within it: the frequencies of absence and of each task are equal (CHANCE), the mean of his position is within SURE_Z
-    standard errors, and its spread within these or SAME_SPREAD.
+    It is shown if at the beginning, at a third or at two thirds of the shortest execution he behaves other than at any
+    time within it: in the frequencies of absence and of each task (CHANCE), the mean of his position (SURE_Z standard
+    errors), or its spread (these, and SAME_SPREAD). With few executions nothing is shown, which proves nothing: how far
+    tracks may start anywhere is known from cycle times (`operator_model`).
     """
     usual = [track for track in tracks.values() if track.followed]
     if len(usual) < MIN_FREE:

@@ -32,6 +32,7 @@ from cyclekit.estimate.validation.history import TaskTimes, chance_of_logs, orde
 from cyclekit.estimate.validation.log_level import LogLevel, log_level
 from cyclekit.estimate.validation.logged import (
     beginnings,
+    first_half,
     logged_durations,
     logged_sequences,
     only_tracks,
@@ -94,7 +95,7 @@ class Check:
         levels: The outer quantile levels of these coverages.
         order_error: Error of sums of logged task durations due to the order of tasks, as a share of the duration of an
             order of one task (`history.order_error`); None with few executions, or with a `level`.
-        operator: Comparison of the operator model with the logged tracks; None if the model is these tracks.
+        operator: Comparison of tracks that start at any instant with the logged tracks; None if all are these.
         unseen_error: Standard deviation of the model's error because the logs do not show people, or what the robot
             waits for.
         level: Logged and rolled-out durations of the logged orders, to correct estimates if the logs do not show
@@ -130,9 +131,9 @@ class Check:
         return "look at"
 
     @property
-    def phases(self) -> int | None:
-        """Entries per track (`operator_tracks`): 1 if logged tracks are used as they are, else None."""
-        return 1 if self.operator is not None and self.operator.as_logged else None
+    def anywhere(self) -> float:
+        """Share of operator tracks that start at any instant (`operator_tracks`)."""
+        return self.operator.anywhere if self.operator is not None else 0.0
 
     @property
     def factor(self) -> float:
@@ -193,8 +194,9 @@ class Check:
 
     @property
     def doubted_bias(self) -> float:
-        """Bias that a doubt names and nothing corrects, as a share of the duration; it widens the interval."""
-        return (abs(self.crossed_bias) if self._reacts else 0.0) + self.open_wait
+        """Bias that nothing corrects, as a share of the duration; it widens the interval."""
+        departure = self.operator.departure if self.operator is not None else 0.0
+        return departure + (abs(self.crossed_bias) if self._reacts else 0.0) + self.open_wait
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -279,12 +281,13 @@ def check_rollout(
     longest_s = 3.0 * max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
     usual_s = min(ENOUGH * float(logged_durations(dataset, sequences).max()), longest_s)
     for until_s in (usual_s, longest_s):
-        entries = operator_tracks(dataset, horizon_s=until_s, beginnings=True, model=model)
+        entries = operator_tracks(dataset, horizon_s=until_s, anywhere=None, model=model)
         sequences = _some([sequence for sequence in sequences if sequence.name in entries.executions], most)
         _enough(dataset, len(sequences))
         entries = only_tracks(entries, {sequence.name for sequence in sequences})
         tracks = beginnings(entries)
-        own, began, entered = with_own_tracks(model, dataset, sequences, nominal, entries)
+        own, whole = with_own_tracks(model, dataset, sequences, nominal, entries)
+        _, halves = with_own_tracks(model, dataset, [first_half(one) for one in sequences], nominal, entries)
         others = with_other_tracks(model, dataset, sequences, nominal, tracks, seed=seed)
         if np.isfinite(own).all() and not np.isinf(others).any():
             break
@@ -308,7 +311,7 @@ def check_rollout(
     return replace(
         found,
         order_error=_order_error(model, dataset, sequences, others, means, tracks) if level is None else None,
-        operator=operator_model([sequence.name for sequence in sequences], began, entered, entries),
+        operator=operator_model([sequence.name for sequence in sequences], [whole, halves], entries),
         unseen_error=unseen_error,
         spread=spread,
         open_wait=open_wait(dataset, [each.name for each in sequences], float(logged.mean())),

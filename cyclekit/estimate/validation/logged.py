@@ -61,6 +61,11 @@ def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> li
     return found
 
 
+def first_half(sequence: TaskSequence) -> TaskSequence:
+    """Return the first half of the tasks of a sequence, at least one."""
+    return replace(sequence, places=sequence.places[: 1 + max(1, len(sequence.tasks) // 2)])
+
+
 def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
     """Return the logged durations of these executions, shape (E,), s."""
     durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
@@ -73,7 +78,7 @@ def with_own_tracks(
     sequences: Sequence[TaskSequence],
     nominal: Mapping[str, NominalTask],
     tracks: OperatorTracks,
-) -> tuple[Vector, Vector, Vector]:
+) -> tuple[Vector, tuple[Vector, Vector]]:
     """Roll out each execution with its own operator track, from its start, and its own standstills.
 
     Each of the other tracks (those that are not `beginnings`) is combined with one of these executions in turn, whoever
@@ -100,7 +105,7 @@ def with_own_tracks(
     took_s = np.empty(len(which))
     took_s[order] = simulated.duration_s
     parts = np.minimum(took_s, tracks.step_s * tracks.xyz_m.shape[1]) / free_s[which]
-    return took_s[: len(programs)], parts[: len(programs)], parts[len(programs) :]
+    return took_s[: len(programs)], (parts[: len(programs)], parts[len(programs) :])
 
 
 def _own_tracks(sequences: Sequence[TaskSequence], tracks: OperatorTracks) -> list[int]:

@@ -47,6 +47,6 @@ class Question:
     engine: Engine
 
     @property
-    def phases(self) -> int | None:
-        """Number of instants at which operator tracks start; None: as the logs allow."""
-        return self.check.phases if self.check else None
+    def anywhere(self) -> float:
+        """Share of operator tracks that start at any instant."""
+        return self.check.anywhere if self.check else 0.0

@@ -91,8 +91,8 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     model, check = on_states_of(model, dataset), shown[0].check
     legs = nominal_tasks(dataset)
     nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
-    operator, phases = shown[0].operator, check.phases if check else None
-    tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, operator=operator, phases=phases, model=model)
+    operator, anywhere = shown[0].operator, check.anywhere if check else 0.0
+    tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, operator=operator, anywhere=anywhere, model=model)
     arrays: Arrays = {}
     facts = settings_of(page, model, dataset, tracks) | scaling_source(model, dataset, legs, tracks, arrays)
     facts["kind"] = "robot"

@@ -78,7 +78,7 @@ def override_rows(
     features: dict[str, Vector] = {f"robot {axis}": np.nan_to_num(tcp_m[:, k]) for k, axis in enumerate("xyz")}
     tracks = person_tracks(session.recordings, sources, read)
     if tracks:
-        human_m = nearest_person(tracks, t_s, tcp_m, bridge_s=cell.bridge_s, width_s=step_s)
+        human_m, _ = nearest_person(tracks, t_s, tcp_m, bridge_s=cell.bridge_s, width_s=step_s)
         features |= _of_people(tcp_m, human_m, step_s)
     features |= _of_signals(session, t_s, override, step_s, read, stored)
     clocks = [one.clock.method for one in session.recordings if "people" in one.tables]

@@ -95,7 +95,7 @@ def interval(low: float, high: float, decimals: int) -> str:
 
 def with_interval(value: float, low: float, high: float, decimals: int, unit: str = "s") -> str:
     """Write a number and its interval of confidence: 94.4 s (95 % CI 92.9 to 95.8 s)."""
-    return f"{fixed(value, decimals)}{_SPACE}{unit} (95{_SPACE}% CI {interval(low, high, decimals)}{_SPACE}{unit})"
+    return f"{fixed(value, decimals)} {unit} (95 % CI {interval(low, high, decimals)} {unit})"
 
 
 def percent(fraction: float | None, decimals: int | None = None) -> str:

@@ -20,11 +20,11 @@ PYTEST := PYTHONDONTWRITEBYTECODE= POLARS_MAX_THREADS=1 OMP_NUM_THREADS=1 \
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all bench docs lint clean
+.PHONY: help demo test test-all contract contract-quick bench docs lint clean
 
 help: ## say what can be made
 	@echo "cyclekit:"
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 24
 
 demo: $(READY) ## the whole way on a simulated cell; everything it makes lies in out/
 	@echo "== demo: simulated logs -> dataset -> model -> cycle times, replay and report in $(OUT)/"
@@ -37,6 +37,17 @@ test: $(READY) ## the tests that guard what cyclekit does; for every day
 test-all: $(READY) ## every test, also the slow ones: kills, browsers, clusters, clean environments
 	@echo "== test-all: the whole suite, $(WORKERS) processes"
 	@$(PYTEST)
+
+CONTRACT := POLARS_MAX_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.contract --compare benchmarks/contract/contract.json
+
+contract: $(READY) ## what is answered for simulated cells, beside the truth and the answers of before (two hours)
+	@echo "== contract: $(OUT)/contract.json beside benchmarks/contract/contract.json"
+	@$(CONTRACT) --out $(OUT)/contract.json
+
+contract-quick: $(READY) ## a few rows of it (minutes)
+	@echo "== contract-quick: $(OUT)/contract-quick.json beside benchmarks/contract/contract.json"
+	@rm -f $(OUT)/contract-quick.json
+	@$(CONTRACT) --quick --out $(OUT)/contract-quick.json
 
 bench: $(READY) ## the measurements in benchmarks/, one after the other (minutes)
 	@echo "== bench: $(words $(BENCHMARKS)) measurements"

@@ -144,10 +144,11 @@ def fresh_cycles(
     options: SimulationOptions = _DEFAULT,
     operators: Sequence[tuple[str, ...]] = (),
     after: int = 0,
+    logged: bool = False,
 ) -> FreshCycles:
     """Run one order of both agents repeatedly, without writing logs.
 
-    The random streams are independent of those of `simulate` for all seeds.
+    The random streams are independent of those of `simulate` for all seeds, unless `logged`.
 
     Args:
         scene: Which cell.
@@ -157,6 +158,8 @@ def fresh_cycles(
         options: How strongly they are coupled, and the dynamics of the safety function.
         operators: Orders of the operator that take turns, in place of his in `order`.
         after: Number of executions before them: they all have the operator's pace then. Several people take turns.
+        logged: Execution *i* has the random streams of logged execution *i* of that seed: the same luck of people and
+            parts, in this order of work.
 
     Raises:
         SimulationError: The scene has no waits, or the order does not belong to it.
@@ -177,7 +180,7 @@ def fresh_cycles(
                 seed,
                 number,
                 options.coupling,
-                FRESH,
+                LOGGED if logged else FRESH,
                 options.pace(after, number),
             )
             for number in numbers

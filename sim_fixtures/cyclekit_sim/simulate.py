@@ -18,7 +18,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit_sim.cell_file import cell_file
-from cyclekit_sim.choices import ENCODER, SEQUENCE, TRACKER, draw_places, stream
+from cyclekit_sim.choices import ENCODER, LOGGED, SEQUENCE, TRACKER, draw_places, stream
 from cyclekit_sim.coupled import CoupledWork, coupled_work
 from cyclekit_sim.coupled_list import listed_conditions, task_list
 from cyclekit_sim.coupled_scenes import COUPLED
@@ -106,10 +106,12 @@ def simulate_sequence(
     executions: int,
     seed: int,
     options: SimulationOptions = _DEFAULT,
+    logged: bool = False,
 ) -> pl.DataFrame:
     """Run one place sequence repeatedly with a fresh operator each time, without writing logs.
 
-    The random streams are independent of those of `simulate` for all seeds.
+    The random streams are independent of those of `simulate` for all seeds; if `logged`, execution *i* has the operator
+    of logged execution *i* of that seed, as far as the scene is not recorded in one piece.
 
     Returns:
         One row per execution: execution, duration_s, nominal_s, safety_loss_s, dwell_s, wait_s.
@@ -119,6 +121,7 @@ def simulate_sequence(
     """
     cell, options = set_up(scene, options)
     work = prepare(cell, seed, options, executions=executions, places=places)
+    work = dataclasses.replace(work, domain=LOGGED) if logged else work
     rows = [row for trace in run_alone(work, work.executions) for row in task_rows(trace, 0.0)]
     sums = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     return (

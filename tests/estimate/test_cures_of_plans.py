@@ -178,5 +178,7 @@ def test_an_error_between_logged_orders_widens_the_interval_of_the_share_within_
         (found,) = estimate(model, logged, asked, check=check, extrapolate=True, takt_s=first.expected_s)
         share, low, high = found.takt_probability
         assert low <= share <= high
+        (late,) = estimate(model, logged, asked, check=check, extrapolate=True, takt_s=found.quantiles_s[0.95] + 1e-6)
+        assert late.takt_probability[0] == pytest.approx(0.95, abs=1.5 / len(found.durations_s))
         width.append(high - low)
     assert width[1] > width[0] + 0.1

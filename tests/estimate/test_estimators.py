@@ -63,6 +63,18 @@ def test_average_solves_for_the_time_in_which_the_mean_scaling_makes_the_nominal
     assert "average" in found.why or "mean scalings" in found.why
 
 
+@pytest.mark.parametrize(("estimator", "validate"), [("rollout", True), ("rollout", False), ("history", False)])
+def test_the_share_within_a_printed_quantile_is_its_level(
+    logged: Dataset, staircase: Any, routes: Any, estimator: str, validate: bool
+):
+    asked, levels = [TaskSequence("A", routes[0])], (0.05, 0.5, 0.8, 0.95)
+    told = {"estimator": estimator, "validate": validate, "quantiles": levels}
+    (first,) = estimate_validated(staircase, logged, asked, **told)
+    for level, at_s in first.quantiles_s.items():
+        (found,) = estimate_validated(staircase, logged, asked, takt_s=at_s + 1e-6, **told)
+        assert found.takt_probability[0] == pytest.approx(level, abs=1.5 / len(first.durations_s))
+
+
 def test_an_estimator_that_does_not_exist_is_refused_with_the_nearest(logged: Dataset, staircase: Any, routes: Any):
     with pytest.raises(UnknownName) as caught:
         estimate(staircase, logged, [TaskSequence("A", routes[0][:4])], estimator="rolout")

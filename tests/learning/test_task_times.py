@@ -98,6 +98,15 @@ def test_a_plan_never_logged_takes_what_fresh_executions_take(coupled) -> None:
         assert min(split) >= 0.0 or min(split) == answer.safety_loss_s
 
 
+def test_the_share_of_a_plan_within_its_printed_quantile_is_the_level(coupled) -> None:
+    folder, _ = coupled
+    asked = [plan_of(random_order(np.random.default_rng(99)))]
+    (first,) = estimate_cycles(folder / "model", folder / "dataset", asked)
+    for level, at_s in first.quantiles_s.items():
+        (found,) = estimate_cycles(folder / "model", folder / "dataset", asked, takt_s=at_s + 1e-6)
+        assert found.takt_probability[0] == pytest.approx(level, abs=0.005)
+
+
 def test_waits_appear_with_what_ended_them(coupled) -> None:
     folder, _ = coupled
     order = {"robot": ["bring", "weld"], "operator": ["inspect", "mount", "pack"]}

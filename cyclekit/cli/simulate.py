@@ -19,11 +19,11 @@ Scenes:
   of regular people  bench-crew
   without a tracker  scanner-fields, light-curtain, guard-door
   with waits         shared-fixture, handover, fed-line, four-fixtures,
-                     machine-tending"""
+                     machine-tending, two-operators, repeats"""
 SCENES = (
     *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "bench-crew"),
     *("scanner-fields", "light-curtain", "guard-door"),
-    *("shared-fixture", "handover", "fed-line", "four-fixtures", "machine-tending"),
+    *("shared-fixture", "handover", "fed-line", "four-fixtures", "machine-tending", "two-operators", "repeats"),
 )
 """Names of the simulator's scenes; the simulator itself is imported only to simulate."""
 

@@ -16,12 +16,13 @@ from cyclekit.estimate.validation.several import several_found
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from cyclekit.dataset.cards.recording import ClockMethod
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.robot.safety import SafetyModel
 
 FEW_EXECUTIONS = 20
 """Number of operator tracks below which the mean is reported as uncertain (by more than 1 % in the cells so far)."""
-ROUGHLY = ("coarse", "start-text")
+ROUGHLY: tuple[ClockMethod, ...] = ("coarse", "start-text")
 """Methods of clock alignment that leave an error of the order of a reaction time."""
 GIVE_CLOCK = "give clock_offset_s, sync or sees in the cell file, or ingest with --align-clocks coarse"
 GIVE_POSE = "give frame in the cell file (`cyclekit calibrate points.csv` computes it)"

@@ -117,8 +117,9 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         card = structs.replace(card, coupling=learn_coupling(dataset))
     model = replace(model, card=card)
     stairs = found.staircase.is_staircase and len(model.levels) > 1
-    model = with_rule(model, dataset, seed=spec.seed, stairs=stairs) if rules else model
-    told(1.0 / share, "done")
+    if rules:
+        model = with_rule(model, dataset, seed=spec.seed, stairs=stairs)
+        told(1.0 / share, "done")
     return model
 
 

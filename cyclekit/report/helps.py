@@ -55,9 +55,10 @@ def _bound(page: PageInputs) -> str:
     if page.ranked:
         best = page.ranked[0]
         lost_s, wait_s = best.safety_loss_s, best.wait_s if page.coupled else 0.0
-        values = {"name": best.name, "mean": seconds(best.expected_s), "lost": seconds(lost_s), "wait": seconds(wait_s)}
-        without = seconds(best.expected_s - best.idle_s * (wait_s > 0.0) - lost_s - wait_s)
-        return texts("helps.bound_waits" if wait_s > 0.0 else "helps.bound", without=without, **values)
+        without_s = best.expected_s - best.idle_s * (wait_s > 0.0) - lost_s - wait_s
+        times_s = {"mean": best.expected_s, "lost": lost_s, "wait": wait_s, "without": without_s}
+        values = {"name": best.name, **{name: seconds(each, best.expected_s) for name, each in times_s.items()}}
+        return texts("helps.bound_waits" if wait_s > 0.0 else "helps.bound", **values)
     if seen.lost_s is None or not len(seen.duration_s):
         return ""
     wait_s = sum(waited for row, waited in page.waits if row.gate.agent == "robot")

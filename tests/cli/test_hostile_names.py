@@ -161,7 +161,7 @@ def test_no_way_to_the_terminal_lets_a_control_through(name: str, capsys: pytest
     with terminal.progress(name) as progress:
         progress(0.5, name)
     lines = _Lines("reading")
-    lines.began_s -= 100
+    lines.forecast.began_s -= 100
     lines(0.5, name)
     write_json({name: [name]})
     say_failure(name, kind="x", as_json=True)

@@ -250,7 +250,7 @@ def test_a_notebook_shows_it_as_a_table_and_a_figure(name: str, cell: Path, monk
 
 def test_the_figure_of_an_order_says_both_means_and_the_interval() -> None:
     plan = OrderPlan(
-        ("b", "a"), ("b", "a"), 20.0, "logged orders", 25.0, (5.0, 4.0, 6.0), 4.0, "all orders", 2, 9, 19.0, 21.0
+        ("b", "a"), ("b", "a"), 20.0, "logged orders", 25.0, (5.0, 4.0, 6.0), "all orders", 2, 9, 19.0, 21.0
     )
     (axes,) = plan.plot().axes
     assert [bar.get_width() for bar in axes.patches] == [20.0, 25.0]

@@ -74,12 +74,12 @@ def test_a_large_bias_stands_above_the_numbers_and_in_the_json(
     words = ("estimate", tmp_path / "slow", sequences, "--dataset", dataset, "--extrapolate", "--other-cell", "--quiet")
     typed = cyclekit(*words, "--json")
     assert typed.code == 0, typed.err
-    (warning,) = typed.document["warnings"]
-    assert "the model's bias is +" in warning
+    assert typed.document["warnings"][0].startswith("backtest with their own operators: bias +")
+    assert [one["level"] for one in typed.document["findings"] if one["code"] == "bias"] == ["red"]
     shown = cyclekit(*words).out
-    assert shown.startswith("WARNING: the model's bias is +")
-    assert " s*" in shown.split("seconds:")[0]
-    assert "\n* backtest with their own operators: bias" in shown
+    above = " ".join(shown.split("seconds:")[0].split())
+    assert "bias: backtest with their own operators: bias +" in above
+    assert " s RED" in shown
 
 
 def test_with_trained_on_two_datasets_are_compared_whatever_has_changed(

@@ -151,7 +151,7 @@ def test_the_page_answers_what_it_can_and_names_the_rest_with_the_reason(
 ):
     jobs, out = tmp_path / "jobs.toml", tmp_path / "r.json"
     jobs.write_text('start = "left_1"\nvisit = ["left_2", "left_3"]\n', encoding="utf-8")
-    changes.write_text(changes.read_text("utf-8") + '[[change]]\nname = "often"\nfrequency = 500.0\n', encoding="utf-8")
+    changes.write_text(changes.read_text("utf-8") + '[[change]]\nname = "often"\nfrequency = 50.0\n', encoding="utf-8")
     words = ("report", dataset, "--model", model, "--sequences", asked, "--extrapolate", "--no-check")
     typed = cyclekit(*words, "--what-if", changes, "--plan", jobs, "--out", out, "--json")
     assert typed.code == 0, typed.err

@@ -9,7 +9,7 @@ import pytest
 
 from cyclekit import ingest_logs
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.limits import limits_of_logs
+from cyclekit.estimate.soundness import findings_of
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import train
 
@@ -47,7 +47,8 @@ def test_a_forgotten_frame_is_proposed_from_the_slow_downs(forgotten: Dataset):
 def test_a_model_and_an_estimate_without_the_frame_carry_the_warning(forgotten: Dataset):
     model = train(forgotten, ModelSpec.of("now", "classifier", epochs=1))
     assert "frame-doubtful" in {one.code for one in model.card.warnings}
-    assert any("frame is probably wrong" in text for text in limits_of_logs(forgotten, model))
+    found = findings_of(model, None, forgotten, executions=20, support=1.0)  # type: ignore[arg-type]
+    assert ("pose", "red") in {(one.code, one.level) for one in found}
 
 
 def test_where_zones_decide_the_speed_a_forgotten_frame_is_said_to_be_unconfirmed(cells: Cells, tmp_path: Path):

@@ -18,7 +18,8 @@ PAIRS = {"fixture": "bench"}
 
 
 def gate(agent: str, place: str, other: str, at: str) -> GateCard:
-    needs = ConditionCard(agent=other, place=at, event="leaves", lag_s=(0.5,))  # type: ignore[arg-type]
+    back = int(agent == "robot")  # he brings first, and the robot needs his visit before
+    needs = ConditionCard(agent=other, place=at, event="leaves", lag_s=(0.5,), back=back)  # type: ignore[arg-type]
     return GateCard(agent=agent, at="approach", place=place, conditions=(needs,))  # type: ignore[arg-type]
 
 

@@ -58,7 +58,7 @@ def _judged(
     monkeypatch.setattr(f"{module}.repetitions", lambda _: 60)
     monkeypatch.setattr(f"{module}.MAX_EXECUTIONS", len(logged))
     cell: Any = SimpleNamespace(
-        dataset=None,
+        dataset=SimpleNamespace(recordings=()),
         logged=dict.fromkeys(names, ()),
         paces={},
         model=SimpleNamespace(card=SimpleNamespace(held_out=())),

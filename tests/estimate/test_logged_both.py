@@ -59,7 +59,15 @@ def logged(more_s: tuple[float, ...] = (0.0, 1.0), *, turned: bool = False, begi
     entries = [SimpleNamespace(execution=one["execution"], places=("home", "conveyor", "fixture", "home"),
                                reference=False) for one in executions]  # fmt: skip
     card = SimpleNamespace(coupling=CARD, executions=entries)
-    return cast("Dataset", SimpleNamespace(every_task=lambda: tasks, executions=frame, card=card))
+    return cast(
+        "Dataset",
+        SimpleNamespace(
+            every_task=lambda: tasks,
+            tasks=lambda: tasks.filter(pl.col("agent") == "robot"),
+            executions=frame,
+            card=card,
+        ),
+    )
 
 
 TIMES = ("start_s", "arrival_s", "end_s", "reached_s", "went_on_s")

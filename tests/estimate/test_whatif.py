@@ -228,7 +228,7 @@ def test_a_sequence_that_cannot_be_answered_is_named_and_the_others_are_compared
 
 
 def test_a_refusal_of_the_estimate_itself_names_the_change_too(logged: Dataset, staircase: Any):
-    halted = Change("halted for ever", levels=(0.0, 1.0), thresholds_m=(1e6,))
+    halted = Change("halted for ever", levels=(0.0, 1.0), thresholds_m=(900.0,))
     with pytest.raises(EstimateError, match=r"change 'halted for ever': .* do not end"):
         what_if(staircase, logged, [TaskSequence("A", ("home", "conveyor"))], [halted])
 

@@ -17,7 +17,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.alignment.recording_clocks import RESTART_S
-from cyclekit.dataset.cards import IMPOSSIBLE, READ, FrameCard, LogCard, SetAside, note
+from cyclekit.dataset.cards import READ, FrameCard, LogCard, SetAside, note
 from cyclekit.dataset.cards.recording import LogClock
 from cyclekit.dataset.rates import Rates
 from cyclekit.errors import LogError
@@ -245,7 +245,10 @@ def _card(
         last_s=main.last_s,
         duration_s=duration_s,
         rate_hz=round(rate.mean_hz, 3) if rate is not None else None,
-        warnings=tuple(note(IMPOSSIBLE if text in last.impossible else READ, text=text) for text in last.warnings),
+        warnings=tuple(
+            note("impossible", text=text) if text in last.impossible else note(READ, text=text)
+            for text in last.warnings
+        ),
         facts={"checksum": UNPROTECTED, **last.facts},
         key=log.key,
     )

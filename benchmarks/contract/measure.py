@@ -54,9 +54,7 @@ def row_of(work: Path, name: str, kind: Kind, executions: int, seed: int, orders
         found = _timed(
             seconds,
             "estimate",
-            lambda: estimate_cycles(
-                folder / "model", folder / "dataset", file, quantiles=LEVELS, takt_s=takt_s, other_cell=True
-            ),
+            lambda: estimate_cycles(folder / "model", folder / "dataset", file, quantiles=LEVELS, takt_s=takt_s),
         )
     except CyclekitError as error:
         return row | {"seconds": seconds, "refused": {each.name: str(error) for each in asked}, "orders": []}

@@ -98,5 +98,5 @@ def _told(found: Verdict) -> Note:
     share = {} if found.share is None else {"share": max(found.share, 0.0)}
     hands = [] if found.hand is None else np.unique(np.concatenate(found.hand)).tolist()
     sliders = ", ".join(f"{value:.2f}" for value in hands[:8])
-    told = {"turns": found.turns, "hours": found.hours, "sliders": sliders, **share}
+    told: dict[str, str | float] = {"turns": found.turns, "hours": found.hours, "sliders": sliders, **share}
     return note("override-moved", **told) if found.mover == "people" else note("override-unknown", **told)

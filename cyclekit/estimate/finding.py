@@ -28,8 +28,8 @@ class Finding:
         level: `green`: sound; `amber`: a limit to know; `red`: the number and its intervals cannot be trusted.
         text: What was seen, one sentence without a full stop.
         cure: What to do; empty where nothing is to be done, or where `text` says it.
-        covered: Whether the printed intervals cover what an amber finding leaves open; if not, no verdict is based on
-            them.
+        covered: Whether a verdict may be based on the printed intervals in spite of an amber finding: they cover what
+            it leaves open, or it is about the smaller part of the cycle.
     """
 
     code: str

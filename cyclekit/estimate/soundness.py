@@ -137,7 +137,7 @@ def _support(support: float) -> Iterator[Finding]:
     if support < MIN_SUPPORT:
         yield Finding("support", "red", f"EXTRAPOLATED: {_unlogged(support)}", LOG_THERE)
     elif support < ENOUGH_SUPPORT:
-        yield Finding("support", "amber", _unlogged(support), LOG_THERE, covered=False)
+        yield Finding("support", "amber", _unlogged(support), LOG_THERE)  # most of the cycle was logged
     elif support == support:
         yield Finding("support", "green", f"{support:.0%} of the cycle runs through logged positions")
 

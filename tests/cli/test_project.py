@@ -307,7 +307,9 @@ def test_run_goes_the_whole_way_from_an_empty_folder(
     typed = cyclekit("run", "--json")
     assert typed.code == 0, typed.err
     assert set(states(typed).values()) == {"done"}
-    assert cyclekit("gate", "--takt", "10min", "--quiet").code == 0
+    judged = cyclekit("gate", "--takt", "10min", "--share", "0.5", "--quiet")
+    assert judged.code == 2
+    assert "6 logged executions are too few" in judged.out
 
 
 def test_the_gate_tells_its_verdict_by_the_exit_code(begun: Path, sequences: Path, cyclekit: Shell) -> None:

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import DatasetCard
 
 
-_TRIES = 3
-"""How often a dataset is opened that an ingest replaces meanwhile: each time takes milliseconds, an ingest seconds."""
+_TRIES = 30
+"""How often a dataset is opened that an ingest replaces meanwhile: each time takes milliseconds, an ingest seconds.
+Half or twice as often matters only beside a writer that does nothing else."""
 
 
 def opened_card(path: Path) -> tuple[DatasetCard, checksums.Stamp | None]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from known_cells import logged
 from msgspec import structs
-from played import STAIRS, ask, both, same, staircase
+from played import STAIRS, ask, both, same, some_deadlocks_are_left_out, staircase
 
 from cyclekit import TaskSequence
 from cyclekit.config.sequences import PlannedTask
@@ -29,7 +29,7 @@ from cyclekit.estimate.whatif import what_if
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.report import compose_report
 
-__all__ = ["logged"]
+__all__ = ["logged", "some_deadlocks_are_left_out"]
 
 pytestmark = [
     pytest.mark.slow,

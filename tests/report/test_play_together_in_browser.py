@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from known_cells import logged
 from msgspec import structs
-from played import STAIRS, ask, both, network, same, staircase
+from played import STAIRS, ask, both, network, same, some_deadlocks_are_left_out, staircase
 
 from cyclekit import TaskSequence, estimate_cycles, train_task_times, what_if, write_report
 from cyclekit.config.sequences import PlannedTask, load_sequences
@@ -25,7 +25,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.report import compose_report
 from cyclekit_sim.task_lists import ListOptions, random_order, simulate_task_lists
 
-__all__ = ["logged"]
+__all__ = ["logged", "some_deadlocks_are_left_out"]
 
 pytestmark = [
     pytest.mark.slow,

@@ -132,7 +132,7 @@ def test_a_gate_opens_a_lag_after_what_it_needs_and_not_before() -> None:
                 assert shortest_s <= opening.lag_s <= longest_s
                 assert wait.end_s == pytest.approx(max(wait.begin_s, event_s + opening.lag_s))
                 waited += wait.end_s > wait.begin_s
-        assert waited > 3
+        assert waited >= 3
 
 
 @pytest.mark.slow

@@ -27,6 +27,11 @@ _BOMS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+WIDE = {
+    "utf-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
+    "utf-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE),
+}
+"""Encodings whose byte order a mark tells."""
 _DECLARED = re.compile(rb"""\s*<\?xml\s[^>]{0,200}?\bencoding\s*=\s*["']([\w.:-]{1,40})["']""")
 _WIDE = re.compile(r"utf-?(?:8|16|32)|ucs|unicode")
 """Encodings that a declaration in ASCII does not have (tools that write text from memory say UTF-16), and UTF-8."""
@@ -83,6 +88,8 @@ def decoded(raws: Iterable[bytes], encoding: str, assume: Callable[[], None] = l
     """
     decoder = None
     for raw in raws:
+        if decoder is None and encoding in WIDE and not raw.startswith(WIDE[encoding]):
+            encoding = f"{encoding}-le"  # without a mark Python refuses to decode; Windows writes the low byte first
         if decoder is None and encoding in UTF_8 and not raw.startswith(codecs.BOM_UTF8):
             if raw.isascii():
                 yield raw.decode("ascii")

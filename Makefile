@@ -47,7 +47,7 @@ contract: $(READY) ## what is answered for simulated cells, beside the truth and
 contract-quick: $(READY) ## a few rows of it (minutes)
 	@echo "== contract-quick: $(OUT)/contract-quick.json beside benchmarks/contract/contract.json"
 	@rm -f $(OUT)/contract-quick.json
-	@$(CONTRACT) --quick --out $(OUT)/contract-quick.json
+	@$(CONTRACT) --quick --orders 2 --out $(OUT)/contract-quick.json
 
 bench: $(READY) ## the measurements in benchmarks/, one after the other (minutes)
 	@echo "== bench: $(words $(BENCHMARKS)) measurements"

@@ -55,7 +55,8 @@ def summary(rows: list[Row]) -> str:
 def faults(old: list[Row], new: list[Row]) -> list[str]:
     """Return what is worse in the new result than in the old one, one sentence each.
 
-    Rows are compared on the orders that both answered. A row or an order that only the old one answered is a fault.
+    Rows are compared on the orders that both answered. An order that only the old one
+    answered is a fault; one that the new one did not ask is none.
     """
     before = {key_of(row): row for row in old}
     found, growth = [], []
@@ -64,8 +65,8 @@ def faults(old: list[Row], new: list[Row]) -> list[str]:
             continue
         common = {each["name"] for each in row["orders"]} & {each["name"] for each in other["orders"]}
         told = f"{row['cell']}, {row['kind']}, {row['executions']} executions, seed {row['seed']}"
-        if lost := sorted({each["name"] for each in other["orders"]} - common):
-            reasons = "; ".join(sorted({row["refused"].get(name, "no answer") for name in lost}))
+        if lost := sorted({each["name"] for each in other["orders"]} & set(row["refused"])):
+            reasons = "; ".join(sorted({row["refused"][name] for name in lost}))
             found.append(f"{told}: {len(lost)} orders no longer answered: {reasons}")
         if not common:
             continue

@@ -22,14 +22,16 @@ if TYPE_CHECKING:
 Mover = Literal["people", "hand", "unknown"]
 
 CHANGE_S = 10.0
-"""Time over which changes are compared, s: longer than a reaction, shorter than what a hand leaves set."""
+"""Time over which changes are compared, s: longer than a reaction, shorter than what a hand leaves set.
+Half of it changes none of the forty cells of benchmarks/set_override.py, twice of it decides the one left open."""
 MOST = 0.5
 """Share of the changes above which something explains most of them."""
 SURE = 2.0
 """Standard errors on either side of a share."""
 BY_HAND_S, RARELY_S = 30.0, 600.0
 """Least mean time between two turns by a hand, s: where people were logged (their tracker's clock is known, or they
-explain the other scaling) and explain none of the turns, and where the logs cannot show it."""
+explain the other scaling) and explain none of the turns, and where the logs cannot show it. Half and twice of the first
+change none of the forty cells."""
 FOLDS, BLOCKS, MIN_BLOCK_S = 4, 24, 30.0
 CLASSES = 10
 STILL = 0.005

@@ -12,7 +12,8 @@ as long as the logged ones. Ground truth is the mean of `--fresh` executions eac
 logs.
 
 Also printed: the uncorrected rollout, history, the Markov chain, and chance, the error of a mean of as many independent
-cycles of the logged length as were logged. `true function` is the rollout with the simulator's safety function and the
+cycles of the logged length as were logged, or of the order's own length if it is shorter: logs begin once each, and
+short cycles scatter more. `true function` is the rollout with the simulator's safety function and the
 same logged operators: the error that remains if only the operators must be learned. The coverage of intervals of the
 mean allows for the standard error of the fresh mean.
 """
@@ -207,9 +208,9 @@ def size(errors: list[float]) -> str:
 
 def add_rows(table: Table, executions: int, sets: list[dict[str, list[Row]]]) -> None:
     """Add one row per length."""
-    spread = np.mean([row.spread for rows in sets for row in rows["same"]])
-    for name in LENGTHS:
+    for name, length in LENGTHS.items():
         some = [row for rows in sets for row in rows[name]]
+        spread = np.mean([row.spread for rows in sets for row in rows[name if length < 1.0 else "same"]])
         errors = [row.error for row in some]
         inside = [np.mean([row.inside for row in rows[name]]) for rows in sets if rows[name]]
         between = f"{100 * np.std(inside, ddof=1):.1f}" if len(inside) > 1 else "-"

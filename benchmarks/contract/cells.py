@@ -45,6 +45,9 @@ RESPONSE = SimulationOptions(
 )  # fmt: skip
 """One log per execution, a tracker that is silent without people, and a safety function with a response."""
 
+CREW = SimulationOptions(executions_per_session=1, delta_m=0.005)
+"""One log per execution, whose end cuts the operator's last stay."""
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -248,9 +251,21 @@ CELLS: dict[str, Cell] = {
     "scanner-visits": Free("scanner-visits", options=RESPONSE, lengths=tuple(LENGTHS)),
     "scanner-fields": Free("scanner-fields", ("signals", "robot"), lengths=("half", "same", "twice")),
     "guard-door": Free("guard-door", ("signals",)),
-    **{name: Waiting(name) for name in COUPLED},
+    **{
+        name: Waiting(name)
+        for name in (
+            "shared-fixture", "handover", "fed-line", "four-fixtures", "machine-tending", "repeats", "two-operators",
+        )
+    },
     "waits and rates": Listed(),
     "rates and fatigue": Listed(ListOptions(coupled=False, fatigue=0.2)),
     "nobody waits": Waiting("shared-fixture", ("tracker", "list"), SimulationOptions(coupling=0.0)),
-}
-"""The cells by name."""
+    "shared-zone": Waiting("shared-zone"),
+    "mixed-products": Waiting("mixed-products"),
+    "two-operators lost": Waiting(
+        "two-operators", ("tracker",), SimulationOptions(swap_ids_s=60.0, lost_ids_s=45.0, dropout=0.05)
+    ),
+    "bench-crew": Free("bench-crew", options=CREW, lengths=tuple(LENGTHS)),
+    "e-waste": Listed(ListOptions(coupled=False, drift=0.25, spread=0.25, planned=0.9)),
+}  # fmt: skip
+"""The cells by name; new ones come last, so that the rows with 200 executions stay the same."""

@@ -19,11 +19,13 @@ Scenes:
   of regular people  bench-crew
   without a tracker  scanner-fields, light-curtain, guard-door
   with waits         shared-fixture, handover, fed-line, four-fixtures,
-                     machine-tending, two-operators, repeats"""
+                     machine-tending, two-operators, repeats,
+                     shared-zone, mixed-products"""
 SCENES = (
     *("box-picking", "pick-and-package", "laser-zones", "scanner-visits", "bench-crew"),
     *("scanner-fields", "light-curtain", "guard-door"),
     *("shared-fixture", "handover", "fed-line", "four-fixtures", "machine-tending", "two-operators", "repeats"),
+    *("shared-zone", "mixed-products"),
 )
 """Names of the simulator's scenes; the simulator itself is imported only to simulate."""
 

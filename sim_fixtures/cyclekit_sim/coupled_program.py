@@ -38,6 +38,8 @@ class Opening:
         gate: The gate; None for the end of the execution, or for room for a part.
         agent, needed: Agent and segment that must have ended.
         lag_s: Time from that end until the agent continues, s.
+        until: Own segment at whose end a zone is given back that this gate takes; -1: it takes none. Then `agent` is
+            the other one, who must be outside, and `needed` is -1.
     """
 
     segment: int
@@ -45,6 +47,7 @@ class Opening:
     agent: str | None
     needed: int
     lag_s: float
+    until: int = -1
 
 
 @dataclass
@@ -66,9 +69,11 @@ class Script:
     gates: list[tuple[int, Gate, int]] = field(default_factory=list)
     legs: list[Leg] = field(default_factory=list)
 
-    def add(self, kind: int, length_s: float, row: int, per_s: float, task: int, goal: str, closed: int = 0) -> int:
-        """Add a segment; return its number. A robot's work changes the gripper."""
-        after = 1 - closed if kind == DWELL else closed
+    def add(
+        self, kind: int, length_s: float, row: int, per_s: float, task: int, goal: str, closed: int = 0, after: int = 0
+    ) -> int:
+        """Add a segment; return its number. A robot's work may change the gripper; all else leaves it as it is."""
+        after = after if kind == DWELL else closed
         execution = self.execution.index if task >= 0 else -1
         self.columns.append((kind, length_s, row, per_s, task, execution, closed, after))
         self.goals.append(goal)
@@ -94,7 +99,9 @@ def plan_all(cell: Coupled, orders: Sequence[Order]) -> MotionTable:
     pairs = set()
     for order in orders:
         again = [(place, place) for place in cell.repeats if place in order["robot"]]
-        for start, goal in [*pairwise(order["robot"]), *again]:
+        changes = [(start, cell.tool[0]) for start in order["robot"]] if cell.tool else []
+        changes += [(tool, goal) for _, tool in changes for goal in cell.repeats if goal in order["robot"]]
+        for start, goal in [*pairwise(order["robot"]), *again, *changes]:
             via = [_short(goal)] if goal in cell.short_of else []
             pairs |= set(pairwise([start, *via, goal]))
     places = dict(cell.scene.places) | {_short(name): place for name, place in cell.short_of.items()}
@@ -105,8 +112,18 @@ def _short(place: str) -> str:
     return f"short of {place}"
 
 
-def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index: int) -> Script:
-    """Return the robot's script; at the end it stays at home until the operator is done."""
+def robot_script(
+    cell: Coupled, places: Sequence[str], table: MotionTable, index: int, rng: np.random.Generator | None = None
+) -> Script:
+    """Return the robot's script; at the end it stays at home until the operator is done.
+
+    Args:
+        cell: The cell.
+        places: Where it goes.
+        table: Its moves.
+        index: Number of the execution.
+        rng: Of delays and jams; None: there are none.
+    """
     script = Script(Execution(index, tuple(places), ()))
     closed = 0
     for task, (start, goal) in enumerate(pairwise(places)):
@@ -120,8 +137,12 @@ def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index
         script.moments[goal, "arrives"].append(len(script.columns) - 1)
         if goal != HOME:
             script.add_gates(_gates(cell, "robot", "work", goal), row, task, goal, closed)
-            script.moments[goal, "leaves"].append(script.add(DWELL, cell.robot_s[goal], row, 0.0, task, goal, closed))
-            closed = 1 - closed
+            if rng is not None and (late_s := _late_s(cell, goal, rng)) > 0.0:
+                script.add(DWELL, late_s, row, 0.0, task, goal, closed, closed)
+            after = closed if goal in cell.keeps else 1 - closed
+            work = script.add(DWELL, cell.robot_s[goal], row, 0.0, task, goal, closed, after)
+            script.moments[goal, "leaves"].append(work)
+            closed = after
     for _ in people_of(cell):
         script.add(IDLE, 0.0, row, 0.0, -1, places[-1], closed)
     return script
@@ -130,6 +151,27 @@ def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index
 def people_of(cell: Coupled) -> list[str]:
     """Return the people of a cell."""
     return list(PEOPLE) if cell.helper_jobs else ["operator"]
+
+
+def _late_s(cell: Coupled, place: str, rng: np.random.Generator) -> float:
+    """Return how long the robot stands before its process, s: for the camera, and if it jams."""
+    chance, lasts_s = cell.jam
+    camera_s = float(rng.uniform(*cell.late_s[place])) if place in cell.late_s else 0.0
+    return camera_s + (float(rng.uniform(*lasts_s)) if rng.random() < chance else 0.0)
+
+
+def with_changes(cell: Coupled, places: Sequence[str], index: int) -> tuple[str, ...]:
+    """Return the robot's places with the tool changes of execution `index`."""
+    if cell.tool is None:
+        return tuple(places)
+    found: list[str] = []
+    part = index * JOINT_TIMES
+    for place in places:
+        if place in cell.repeats:
+            found += [cell.tool[0]] if part % cell.tool[1] == 0 else []
+            part += 1
+        found.append(place)
+    return tuple(found)
 
 
 def with_repeats(cell: Coupled, places: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:
@@ -212,8 +254,17 @@ def link(
         for segment, gate, passage in scripts[agent].gates:
             need = gate.need
             moments = scripts[need.agent].moments[need.place, need.moment]
-            turn, lag_s = passage - need.back, float(rng.uniform(*need.lag_s))
-            closed = 0 <= turn < len(moments) and bool(waits[passage % JOINT_TIMES])
+            lag_s, waiting = float(rng.uniform(*need.lag_s)), bool(waits[passage % JOINT_TIMES])
+            if need.back is None:
+                until = scripts[agent].moments[gate.place, "leaves"][passage]
+                found[agent].append(
+                    Opening(segment, gate, need.agent, -1, lag_s, until)
+                    if waiting
+                    else Opening(segment, gate, None, -1, lag_s)
+                )
+                continue
+            turn = passage - need.back
+            closed = 0 <= turn < len(moments) and waiting
             needs, needed = (need.agent, moments[turn]) if closed else (None, -1)
             found[agent].append(Opening(segment, gate, needs, needed, lag_s))
     for number, who in enumerate(reversed(people_of(cell)), 1):
@@ -233,7 +284,7 @@ def random_order(cell: Coupled, rng: np.random.Generator) -> Order:
     chosen = rng.integers(cell.joint, size=JOINT_TIMES) if cell.joint > 1 else np.zeros(JOINT_TIMES, dtype=np.int64)
     while True:
         found = {
-            agent: (end, *(place for name in _shuffled(jobs, cell.joint, chosen, rng) for place in jobs[name]), end)
+            agent: (end, *(place for name in _shuffled(cell, agent, chosen, rng) for place in jobs[name]), end)
             for agent, jobs, end in agents_of(cell)
         }
         if cell.joint == 1 or _ends(cell, found):
@@ -248,20 +299,21 @@ def agents_of(cell: Coupled) -> list[tuple[str, Mapping[str, tuple[str, ...]], s
 
 def order_beside(cell: Coupled, robot: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:
     """Return an order of the operator as drawn by the scene beside this order of the robot."""
-    jobs = list(cell.robot_jobs.values())[: cell.joint]
+    jobs = list(cell.robot_jobs.values())[: cell.joint : cell.products]
     done = Counter(robot)
-    chosen = np.repeat(np.arange(len(jobs)), [done[places[-1]] for places in jobs])
+    chosen = np.repeat(np.arange(len(jobs)) * cell.products, [done[places[-1]] for places in jobs])
     while True:
-        names = _shuffled(cell.operator_jobs, cell.joint, chosen, rng)
+        names = _shuffled(cell, "operator", chosen, rng)
         found = (REST, *(place for name in names for place in cell.operator_jobs[name]), REST)
         if cell.joint == 1 or _ends(cell, {"robot": tuple(robot), "operator": found}):
             return found
 
 
-def _shuffled(
-    jobs: Mapping[str, tuple[str, ...]], joint: int, chosen: NDArray[np.int64], rng: np.random.Generator
-) -> list[str]:
-    names = list(jobs)
+def _shuffled(cell: Coupled, agent: str, chosen: NDArray[np.int64], rng: np.random.Generator) -> list[str]:
+    """Return an agent's tasks in random order: these joint ones, numbered as the robot's, and all others."""
+    names = next(list(jobs) for who, jobs, _ in agents_of(cell) if who == agent)
+    products = 1 if agent == "robot" else cell.products
+    chosen, joint = chosen // products, cell.joint // products
     return [str(name) for name in rng.permutation(np.array([names[n] for n in chosen] + names[joint:]))]
 
 
@@ -276,7 +328,11 @@ def _ends(cell: Coupled, order: Order) -> bool:
             while at[agent] < len(places):
                 here = (agent, places[at[agent]])
                 need = needs.get(here)
-                if need is not None and over[need.agent, need.place] <= over[here] - need.back:
+                if (
+                    need is not None
+                    and need.back is not None
+                    and over[need.agent, need.place] <= over[here] - need.back
+                ):
                     break
                 over[here] += 1
                 at[agent] += 1

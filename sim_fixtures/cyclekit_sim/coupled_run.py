@@ -24,9 +24,10 @@ from cyclekit_sim.coupled_program import (
     people_of,
     robot_script,
     source_script,
+    with_changes,
     with_repeats,
 )
-from cyclekit_sim.coupled_scenes import JOINT_TIMES, Coupled, Moment
+from cyclekit_sim.coupled_scenes import JOINT_TIMES, Coupled, Gate, Moment
 from cyclekit_sim.engine import Arms, Trace, table_rows
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import MotionTable
@@ -82,10 +83,21 @@ class Done:
         return [float(self.ends_s[agent][at]) for at in self.cell.scripts[agent].moments[place, moment]]
 
     def signals(self, cell: Coupled) -> list[tuple[float, float, str]]:
-        """Return begin and end of each signal, s, and its name."""
+        """Return begin and end of each signal, s, and its name: pulses, and the times in which a zone is taken."""
         rng = np.random.default_rng(self.cell.scripts["robot"].execution.index)
-        moments = sorted((t_s, name) for key, name in cell.signals.items() for t_s in self.moments_s(*key))
-        return [(t_s, t_s + rng.uniform(*PULSE_S), name) for t_s, name in moments]
+        taken = {(agent, gate.place): spans for agent, gate, spans in self.zones()}
+        pulses = sorted(
+            (t_s, name) for key, name in cell.signals.items() if key[:2] not in taken for t_s in self.moments_s(*key)
+        )
+        found = [(t_s, t_s + rng.uniform(*PULSE_S), name) for t_s, name in pulses]
+        return found + [(*span, name) for key, name in cell.signals.items() for span in taken.get(key[:2], ())]
+
+    def zones(self) -> Iterator[tuple[str, Gate, list[tuple[float, float]]]]:
+        """Yield agent, gate, and the times in which the agent has taken the zone behind it, s."""
+        for agent, script in self.cell.scripts.items():
+            for gate in dict.fromkeys(gate for _, gate, _ in script.gates if gate.need.back is None):
+                opens = [self.ends_s[agent][segment] for segment, other, _ in script.gates if other is gate]
+                yield agent, gate, list(zip(opens, self.moments_s(agent, gate.place, "leaves"), strict=True))
 
     def waits(self, agent: str) -> Iterator[Waited]:
         """Yield the waits of an agent, including those of length 0."""
@@ -121,9 +133,10 @@ def make_cell(
     def drawn(purpose: int) -> np.random.Generator:
         return stream(seed, cell.scene, purpose, index, domain=domain)
 
+    repeats, places = drawn(REPEATS), with_changes(cell, order["robot"], index)
     parts = 0 if cell.feed is None else order["robot"].count(cell.feed.place)
     scripts = {
-        "robot": robot_script(cell, with_repeats(cell, order["robot"], drawn(REPEATS)), table, index),
+        "robot": robot_script(cell, with_repeats(cell, places, repeats), table, index, repeats),
         "operator": operator_script(cell, order["operator"], index, drawn(OPERATOR), pace),
         "helper": Script(Execution(index, (), ())),
         "source": source_script(cell, parts, index, drawn(SOURCE)),
@@ -137,12 +150,16 @@ def make_cell(
 
 
 class _Gates:
-    """Conditions of the gates of all agents, by flat index: a segment of an agent and a lag; -1: none."""
+    """Conditions of the gates of all agents: a segment of an agent and a lag, or a zone that nobody may be in.
+
+    -1: none. A cell has one zone, which two agents take and give back.
+    """
 
     def __init__(self, cells: Sequence[Cell], width: int) -> None:
         shape = (len(AGENTS) * len(cells), width)
         self._line, self._segment = np.full(shape, -1), np.full(shape, -1)
-        self._lag_s = np.zeros(shape)
+        self._lag_s, self._until = np.zeros(shape), np.full(shape, -1)
+        self._taken_until = np.full(shape[0], -1)
         for a, agent in enumerate(AGENTS):
             for b, cell in enumerate(cells):
                 for opening in cell.openings[agent]:
@@ -150,6 +167,7 @@ class _Gates:
                         row, at = a * len(cells) + b, opening.segment
                         self._line[row, at] = AGENTS.index(opening.agent) * len(cells) + b
                         self._segment[row, at], self._lag_s[row, at] = opening.needed, opening.lag_s
+                        self._until[row, at] = opening.until
 
     def open(self, state: ProgramState) -> None:
         """Release the agents whose condition has ended."""
@@ -157,9 +175,24 @@ class _Gates:
         if len(waiting):
             at = (waiting, state.segment[waiting])
             ended_s = state.ends_s[self._line[at], self._segment[at]]
-            known = ~np.isnan(ended_s)
+            asks = self._until[at] >= 0
+            known = ~np.isnan(ended_s) & ~asks
             if known.any():
                 state.release(waiting[known], (ended_s + self._lag_s[at])[known])
+            if asks.any():
+                self._enter(state, waiting[asks])
+
+    def _enter(self, state: ProgramState, asking: Ints) -> None:
+        """Let one of the two agents into the zone of each cell where nobody is: who has asked first."""
+        asking = asking[np.argsort(state.ends_s[asking, state.segment[asking] - 1], kind="stable")]
+        other = self._line[asking, state.segment[asking]]
+        _, first = np.unique(np.minimum(asking, other), return_index=True)
+        asking, other = asking[first], other[first]
+        left_s = np.where(self._taken_until[other] < 0, -np.inf, state.ends_s[other, self._taken_until[other]])
+        asking, left_s = asking[~np.isnan(left_s)], left_s[~np.isnan(left_s)]
+        at = (asking, state.segment[asking])
+        self._taken_until[asking] = self._until[at]
+        state.release(asking, left_s + self._lag_s[at])
 
 
 class _People:

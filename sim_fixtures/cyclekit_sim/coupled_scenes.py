@@ -30,14 +30,15 @@ class Need:
         agent: Agent of the event, which may be the waiting one; `helper` = the second person, `source` = the conveyor.
         place: Place of the event.
         moment: The agent arrives there, has done the work there, or leaves.
-        back: See above.
+        back: See above. None: the place is in a zone for one at a time. An agent takes the zone when its gate before
+            the place opens and gives it back when it leaves the place; who asks first goes first.
         lag_s: Range of the time from the event until the waiting agent continues, s.
     """
 
     agent: Literal["robot", "operator", "helper", "source"]
     place: str
     moment: Moment
-    back: int
+    back: int | None
     lag_s: tuple[float, float]
 
 
@@ -76,11 +77,16 @@ class Coupled:
         robot_s: Process times by robot place, s.
         robot_jobs, operator_jobs: Task -> places; joint tasks come first.
         gates: Wait conditions.
-        signals: (agent, place, moment) -> name of the signal that shows it.
+        signals: (agent, place, moment) -> name of the signal that shows it; of a zone, it is on while taken.
         feed: Supply of parts, if any.
         joint: Number of joint tasks of each agent; three are done, each any of these.
         helper_jobs: As `operator_jobs`, of a second person; none: there is none.
         repeats: Robot place -> probability that its process fails there: the robot backs off and does it again.
+        products: Number of the robot's joint tasks, one per product, for one of the people.
+        late_s: Robot place -> range of the delay before each process there, s: the camera looks for the part.
+        jam: Probability that a process of the robot jams, and how long it then stands, s.
+        tool: Place where the robot changes tools before every so many parts, counted over all executions; if any.
+        keeps: Robot places where the gripper stays as it is.
     """
 
     scene: Scene
@@ -94,6 +100,11 @@ class Coupled:
     joint: int = 1
     helper_jobs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     repeats: Mapping[str, float] = field(default_factory=dict)
+    products: int = 1
+    late_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    jam: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
+    tool: tuple[str, int] | None = None
+    keeps: frozenset[str] = frozenset()
 
     @property
     def bits(self) -> dict[str, int]:
@@ -251,6 +262,40 @@ def _repeats() -> Coupled:
     )
 
 
+def _mixed_products() -> Coupled:
+    """Three products, repeated picks, a camera that keeps the robot waiting, tool changes and jams."""
+    cell = _shared_fixture()
+    feeders: dict[str, Place] = {
+        "feeder_a": (0.60, -0.10, 0.10), "feeder_b": (0.60, -0.22, 0.10), "feeder_c": (0.56, -0.34, 0.10)
+    }  # fmt: skip
+    programs = {"a": ("fixture",), "b": ("scale", "fixture"), "c": ("scale", "turner", "fixture")}
+    more: dict[str, Place] = {"scale": (0.45, -0.25, 0.15), "turner": (0.40, 0.10, 0.20), "tools": (0.25, -0.40, 0.35)}
+    fixture = cell.scene.places["fixture"]
+    racks = {name: place for name, place in cell.scene.places.items() if name in _RACKS}
+    return replace(
+        cell,
+        scene=replace(
+            cell.scene,
+            name="mixed-products",
+            places={"home": cell.scene.places["home"], **feeders, **more, "fixture": fixture, **racks},
+            stations={**cell.scene.stations, "fixture": replace(cell.scene.stations["fixture"], dwell_s=(8.0, 11.0))},
+        ),
+        short_of={**cell.short_of, **{name: (x - 0.02, y, z + 0.12) for name, (x, y, z) in feeders.items()}},
+        robot_s={**_RACKS_S, **dict.fromkeys(feeders, 0.6), "scale": 1.0, "turner": 1.5, "tools": 6.0, "fixture": 1.2},
+        robot_jobs={
+            **{f"bring {name}": (f"feeder_{name}", *places) for name, places in programs.items()},
+            **_SORTING,
+        },
+        joint=3,
+        products=3,
+        repeats=dict.fromkeys(feeders, 0.12),
+        late_s=dict.fromkeys(feeders, (0.3, 2.0)),
+        jam=(0.004, (20.0, 60.0)),
+        tool=("tools", 5),
+        keeps=frozenset(more),
+    )
+
+
 def _two_operators() -> Coupled:
     """A loader fills a fixture with two slots, the robot moves parts to an outfeed for two, an unloader takes them."""
     places: dict[str, Place] = {"fixture": (0.60, 0.10, 0.10), "outfeed": (0.45, 0.45, 0.10)}
@@ -282,6 +327,24 @@ def _two_operators() -> Coupled:
     )
 
 
+def _shared_zone() -> Coupled:
+    """The robot fits parts on a table that the operator refills; in the zone of the table is one of them at a time."""
+    places: dict[str, Place] = {"feeder": (0.60, -0.10, 0.10), "table": (0.55, 0.30, 0.10)}
+    stations = {"bench": ((1.70, 1.05), (0.4, 0.9)), "table": ((1.15, 0.7), (3.0, 5.0))}
+    return Coupled(
+        scene=_scene("shared-zone", places, stations, (0.45, 0.75, 1.1, 1.6)),
+        short_of={"table": (0.50, 0.14, 0.25)},
+        robot_s={**_RACKS_S, "feeder": 0.6, "table": 3.0},
+        robot_jobs={"fit": ("feeder", "table"), **_SORTING},
+        operator_jobs={"refill": ("bench", "table"), **{name: (name,) for name in _OWN_STATIONS}},
+        gates=(
+            Gate("operator", "approach", "table", Need("robot", "table", "leaves", None, OPERATOR_LAG_S)),
+            Gate("robot", "approach", "table", Need("operator", "table", "leaves", None, ROBOT_LAG_S)),
+        ),
+        signals={(agent, "table", "leaves"): "digital-input 4" for agent in ("robot", "operator")},
+    )
+
+
 COUPLED: dict[str, Coupled] = {
     cell.scene.name: cell
     for cell in (
@@ -292,6 +355,8 @@ COUPLED: dict[str, Coupled] = {
         _machine_tending(),
         _repeats(),
         _two_operators(),
+        _shared_zone(),
+        _mixed_products(),
     )
 }
 

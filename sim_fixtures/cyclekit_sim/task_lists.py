@@ -41,6 +41,8 @@ class ListOptions:
         drift: Share by which the operator becomes faster from the first to the last execution; fresh executions have
             the rate of the last one.
         fatigue: Share by which a task takes longer with each repetition in one execution.
+        planned: A planner lets no task start before this share of the mean durations of the agent's tasks before it;
+            0: there is none.
     """
 
     coupled: bool = True
@@ -49,6 +51,7 @@ class ListOptions:
     spread: float = 0.1
     drift: float = 0.0
     fatigue: float = 0.0
+    planned: float = 0.0
 
 
 @dataclass
@@ -127,7 +130,7 @@ def _starts(agents: dict[str, _Agent], name: str, options: ListOptions) -> float
     """Return the start of an agent's next task, s; infinite until its condition has ended."""
     agent = agents[name]
     task = agent.order[agent.at]
-    ready = agent.ready_s
+    ready = max(agent.ready_s, options.planned * sum(MEAN_S[done] for done in agent.order[: agent.at]))
     if options.coupled and (needed := WAITS.get(task)):
         nth = agent.order[: agent.at].count(task)
         if nth in agent.free:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,9 @@ from cyclekit_sim import (
 )
 from cyclekit_sim.coupled import coupled_work
 from cyclekit_sim.coupled_list import listed_conditions, task_plan
+from cyclekit_sim.coupled_run import make_cell
+from cyclekit_sim.program import DWELL
+from cyclekit_sim.task_lists import AGENTS, EPOCH_S, MEAN_S, ListOptions, simulate_task_lists
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,6 +88,7 @@ def test_each_signal_is_logged_when_it_comes(logs: Path) -> None:
         assert not (folder / "events.csv").exists()
         return
     rises = 0
+    visits = 3 * (2 if truth["scene"] == "shared-zone" else 1)
     for signal in signals:
         if "digital-input" in signal:
             robot = pl.read_csv(folder / "robot.csv", separator=" ")
@@ -92,7 +97,7 @@ def test_each_signal_is_logged_when_it_comes(logs: Path) -> None:
         else:
             events = pl.read_csv(folder / "events.csv")
             rises += events.filter(pl.col("signal") == signal, pl.col("value") == 1).height
-    assert rises == 3 * EXECUTIONS
+    assert rises == visits * EXECUTIONS
 
 
 @pytest.mark.parametrize(("drawn", "run"), [(20, 5), pytest.param(60, 20, marks=pytest.mark.slow)])
@@ -127,12 +132,79 @@ def test_a_gate_opens_a_lag_after_what_it_needs_and_not_before() -> None:
             for wait in (*done.waits("robot"), *done.waits("operator")):
                 opening = wait.opening
                 assert opening.gate is not None
+                if opening.until >= 0:  # a zone
+                    continue
                 event_s = -np.inf if opening.agent is None else done.ends_s[opening.agent][opening.needed]
                 shortest_s, longest_s = opening.gate.need.lag_s
                 assert shortest_s <= opening.lag_s <= longest_s
                 assert wait.end_s == pytest.approx(max(wait.begin_s, event_s + opening.lag_s))
                 waited += wait.end_s > wait.begin_s
-        assert waited >= 3
+        assert waited >= 3 or scene == "shared-zone"
+
+
+def test_in_a_shared_zone_is_one_at_a_time_and_who_asks_first_goes_first() -> None:
+    """Both wait; nobody enters before the other has left, nor waits for longer than that and the lag."""
+    waited = {"robot": 0, "operator": 0}
+    for trace in coupled_work("shared-zone", 6, SimulationOptions(), 8).run(range(8)):
+        done = trace.done
+        taken = {agent: spans for agent, _, spans in done.zones()}
+        every = sorted(span for spans in taken.values() for span in spans)
+        assert len(every) == 6
+        assert all(left_s < next_s for (_, left_s), (next_s, _) in pairwise(every))
+        for agent, other in (("robot", "operator"), ("operator", "robot")):
+            for wait, (enters_s, _) in zip(done.waits(agent), taken[agent], strict=True):
+                before = [(on_s, off_s) for on_s, off_s in taken[other] if on_s < enters_s]
+                last_s = before[-1][1] if before else -np.inf
+                assert enters_s == pytest.approx(max(wait.begin_s, last_s + wait.opening.lag_s))
+                for other_wait in done.waits(other):  # whoever went before had asked before
+                    if wait.begin_s < other_wait.end_s < wait.end_s:
+                        assert other_wait.begin_s <= wait.begin_s
+                waited[agent] += wait.end_s > wait.begin_s
+    assert min(waited.values()) >= 3
+
+
+@pytest.mark.parametrize("signals", [True, False])
+def test_the_bit_of_a_zone_is_on_while_somebody_has_taken_it_or_is_not_logged(signals: bool, tmp_path: Path) -> None:
+    options = SimulationOptions(signals=signals)
+    logs = simulate("shared-zone", tmp_path / "logs", executions=1, seed=4, options=options)
+    robot = pl.read_csv(logs / "session_000" / "robot.csv", separator=" ")
+    assert ("actual_digital_input_bits" in robot.columns) is signals
+    if signals:
+        (trace,) = coupled_work("shared-zone", 4, options, 1).run([0])
+        taken_s = sum(off_s - on_s for _, _, spans in trace.done.zones() for on_s, off_s in spans)
+        bit = robot["actual_digital_input_bits"] // 2**4 % 2
+        assert bit.sum() * options.cycle_s == pytest.approx(taken_s, abs=0.1)
+
+
+def test_a_robot_of_three_products_picks_again_looks_for_the_part_changes_tools_and_jams() -> None:
+    cell, runs = COUPLED["mixed-products"], 90
+    work = coupled_work("mixed-products", 6, SimulationOptions(), runs)
+    scripts = [make_cell(cell, order, work.table, 6, n, 1.0, 0, 1.0).scripts["robot"]
+               for n, order in enumerate(work.executions)]  # fmt: skip
+    visits = [pair for script in scripts for pair in pairwise(script.execution.places)]
+    picks = [pair for pair in visits if pair[1] in cell.repeats]
+    assert {goal for _, goal in picks} == {"feeder_a", "feeder_b", "feeder_c"}
+    again = sum(start == goal for start, goal in picks)
+    assert again == pytest.approx(0.12 * len(picks), abs=20)
+    assert sum(goal == "tools" for _, goal in visits) == 3 * runs / 5
+    stands = [column[1] for script in scripts for column in script.columns if column[0] == DWELL]
+    late = [length_s for length_s in stands if length_s not in cell.robot_s.values()]
+    assert len(late) >= len(picks)
+    jams = [length_s for length_s in late if length_s > 2.0]
+    assert 1 <= len(jams) < 16
+    assert 0.3 < min(late) < max(late) < 62.0
+    assert {script.execution.places.count("fixture") for script in scripts} == {3}
+
+
+def test_a_planner_lets_no_task_start_before_its_time(tmp_path: Path) -> None:
+    planned = ListOptions(coupled=False, spread=0.25, planned=0.9)
+    (order,) = simulate_task_lists(tmp_path, executions=1, options=planned)
+    rows = pl.read_csv(tmp_path / "tasks.csv")
+    for kind, agent in AGENTS.items():
+        starts = rows.filter(pl.col("agent") == agent)["t_start"].to_numpy() - EPOCH_S
+        due = 0.9 * np.cumsum([0.0, *(MEAN_S[task] for task in order[kind][:-1])])
+        assert (starts >= due).all()
+        assert (starts < due + 0.5).any()
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 from benchmarks.contract.__main__ import QUICK, main, wanted_rows
 from benchmarks.contract.cells import CELLS, Free, Listed, Waiting, of_length
 from benchmarks.contract.compare import faults, summary
+from benchmarks.contract.measure import row_of
 
 
 def row(errors: list[float], *, cell: str = "box-picking", inside: float = 0.9) -> dict[str, Any]:
@@ -84,7 +85,12 @@ def test_an_order_of_half_and_of_twice_the_length_repeats_pairs_of_places() -> N
 
 @pytest.mark.parametrize(
     ("cell", "kind"),
-    [(Free("scanner-fields", ("signals",)), "signals"), (Waiting("handover"), "robot"), (Listed(), "list")],
+    [
+        (Free("scanner-fields", ("signals",)), "signals"),
+        (Waiting("handover"), "robot"),
+        (Waiting("shared-zone"), "list"),
+        (Listed(), "list"),
+    ],
 )
 def test_a_cell_runs_an_order_freshly_and_beside_the_luck_of_its_logs(cell: Any, kind: Any) -> None:
     (asked,) = cell.orders(kind, 1)
@@ -94,3 +100,20 @@ def test_a_cell_runs_an_order_freshly_and_beside_the_luck_of_its_logs(cell: Any,
     assert beside.tolist() != other.tolist()
     assert abs(beside.mean() / fresh.durations_s.mean() - 1.0) < 0.2
     assert "[[sequence]]" in asked.toml
+
+
+def test_a_row_holds_the_answer_beside_the_truth_and_what_it_took(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("benchmarks.contract.measure.FRESH", 50)
+    found = row_of(tmp_path, "waits and rates", "list", 20, 1, orders=1)
+    assert set(found["seconds"]) == {"ingest", "train", "estimate"}
+    (order,) = found["orders"]
+    low_s, high_s = order["interval_s"]
+    assert low_s < order["expected_s"] < high_s
+    assert order["quantiles_s"] == sorted(order["quantiles_s"])
+    assert len(order["true_quantiles_s"]) == len(order["quantiles_s"]) == 3
+    assert order["error"] == pytest.approx(order["expected_s"] / order["true_s"] - 1.0, abs=1e-3)
+    assert 0.0 <= order["within"] <= 1.0
+    assert order["waits_s"][1] > 0.0
+    assert order["conditions"]

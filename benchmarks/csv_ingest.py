@@ -37,7 +37,7 @@ log.group_by((pl.col('timestamp') * 10).floor().alias('bin')).mean().sink_parque
 """
 POLARS_IMPORTS = "import polars as pl"
 CYCLEKIT_IMPORTS = """
-import sys, numpy.ma, pyarrow.parquet, typer._adapters
+import sys, numpy.ma, pyarrow.parquet, scipy.spatial, typer._adapters
 from cyclekit.cli import app, run
 import cyclekit.ingest.convert, cyclekit.ingest.ingest, cyclekit.storage.parquet
 from cyclekit.ingest.registry import adapters

@@ -81,7 +81,9 @@ def _beside(found: Mapping[str, Evaluation]) -> str:
 
 
 def _head(found: Evaluation) -> str:
-    which = "held out from its training" if found.held_out else "of another dataset"
+    which = "of another dataset"
+    if found.held_out or found.learned:
+        which = "that it did not learn from" if found.held_out else "that it learned from"
     lines = [f"{found.network} for problem {found.problem}, judged on {len(found.executions)} executions {which}"]
     metrics = found.metrics
     named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels predicted correctly"

@@ -16,6 +16,8 @@ from msgspec import structs
 
 from cyclekit.api.export import export_model
 from cyclekit.cli import run
+from cyclekit.dataset.cards import SplitCard, dataset_card, plain
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.comparison import better_rival, fit_thresholds
@@ -54,6 +56,49 @@ def test_another_dataset_is_judged_whole_and_without_rivals(model, tmp_path):
     assert list(found.executions) == other.executions["execution"].to_list()
     assert [row.name for row in found.mse] == ["model", "model, most likely step"]
     assert found.notes
+
+
+def changed(cell, change):
+    """Return a dataset with another card."""
+    card = plain(cell.card)
+    change(card)
+    return Dataset(cell.path, dataset_card(card))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda card: card.update(name="another name"),
+        lambda card: card.update(cyclekit_version="next", fingerprint="ingested again"),
+        lambda card: [one.update(key="touched") for one in card["recordings"]],
+        lambda card: [source.update(path="elsewhere.csv") for one in card["recordings"] for source in one["sources"]],
+        lambda card: [source.update(sha256=None) for one in card["recordings"] for source in one["sources"]],
+    ],
+    ids=["renamed", "ingested again", "touched", "moved", "without checksums"],
+)
+def test_the_dataset_of_a_model_is_known_by_its_logs(judged, model, cell, change):
+    found = evaluate(model, changed(cell, change))
+    assert found.held_out
+    assert found.executions == judged.executions
+    assert found.metrics == judged.metrics
+    assert [row.name for row in found.mse] == [row.name for row in judged.mse]
+
+
+def test_what_a_model_learned_from_is_never_judged_as_new(model, cell):
+    def knowing(train, test):
+        return replace(model, card=structs.replace(model.card, split=SplitCard(train=train, test=test)))
+
+    test, train = model.card.split.test, model.card.split.train
+    grown = evaluate(knowing(train, test[:1]), cell, boosting=False)
+    assert set(grown.executions) == set(cell.executions["execution"]) - set(train)  # and what was logged since
+    part = evaluate(model, cell.only([*train[1:], *test]), boosting=False)
+    assert (part.held_out, part.executions, part.learned) == (True, test, 0)
+    known = evaluate(model, cell.only(train), boosting=False)
+    assert (known.held_out, known.learned) == (False, len(train))
+    assert "learned from every execution" in known.notes[-1]
+    renamed = evaluate(knowing(("an execution",), ("another",)), cell, boosting=False)
+    assert (renamed.held_out, renamed.learned) == (False, 0)
+    assert "had other names" in renamed.notes[-1]
 
 
 def test_the_rivals_stand_beside_the_model(judged):

@@ -12,6 +12,7 @@ import json
 import math
 import tempfile
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,7 +85,12 @@ def _fabricated(executions: int, seed: int, rounds: int, operator: bool) -> dict
                 write_parquet(_conform(pl.concat(frames)), folder / "samples" / f"{session}.parquet")
                 _record(folder / "recordings" / f"{session}-robot", pl.concat(natives[session]))
         write_parquet(schema.conform(pl.concat(tasks), schema.TASKS), folder / "tasks.parquet")
-        card = _card(entries, {s: pl.concat(f).height for s, f in natives.items() if f})
+        logs = {
+            s: (pl.concat(f).height, sha256(pl.concat(f).write_csv().encode()).hexdigest())
+            for s, f in natives.items()
+            if f
+        }
+        card = _card(entries, logs)
         (folder / CARD).write_text(json.dumps(card, indent=1), encoding="utf-8")
         files = [file for file in folder.rglob("*") if file.is_file()]
         return {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
@@ -176,7 +182,7 @@ def _record(folder: Path, native: pl.DataFrame) -> None:
     write_parquet(schema.conform(people, schema.PEOPLE), folder / "people.parquet")
 
 
-def _card(entries: list[dict[str, Any]], rows: dict[str, int]) -> dict[str, Any]:
+def _card(entries: list[dict[str, Any]], logs: dict[str, tuple[int, str]]) -> dict[str, Any]:
     def place(xyz_m: tuple[float, float, float], radius_m: float) -> dict[str, Any]:
         return {"xyz_m": list(xyz_m), "radius_m": radius_m, "inferred": False}
 
@@ -192,7 +198,7 @@ def _card(entries: list[dict[str, Any]], rows: dict[str, int]) -> dict[str, Any]
             {
                 "id": f"{session}-robot",
                 "session": session,
-                "sources": [{"path": f"{session}.csv", "sha256": None, "size": 0}],
+                "sources": [{"path": f"{session}.csv", "sha256": checksum, "size": 0}],
                 **{"adapter": "fabricated", "adapter_package": "tests", "adapter_version": "0"},
                 "clock": {"kind": "relative", "method": "own", "offset_s": 0.0, "rate": 1.0},
                 "frame": {"method": "robot base", "up": "z"},
@@ -202,6 +208,6 @@ def _card(entries: list[dict[str, Any]], rows: dict[str, int]) -> dict[str, Any]
                 **{"first_s": 0.0, "last_s": count / NATIVE_HZ, "duration_s": count / NATIVE_HZ, "rate_hz": NATIVE_HZ},
                 "tables": ["robot", "people"],
             }
-            for session, count in rows.items()
+            for session, (count, checksum) in logs.items()
         ],
     }

@@ -19,7 +19,7 @@ from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.evaluation.baselines import Rival, boosted, rivals
 from cyclekit.learning.evaluation.drift import Drift, drift
 from cyclekit.learning.labelling import as_learned, without_slider
-from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
+from cyclekit.learning.networks.cell import may_share_logs, refuse_other_cell
 from cyclekit.learning.networks.comparison import BOOSTED, LAST_SECOND, BetterRival, better_rival
 from cyclekit.learning.networks.kinds import NETWORKS
 from cyclekit.learning.networks.metrics import Predictor, measure
@@ -81,7 +81,7 @@ class Evaluation(Result):
     Attributes:
         problem: The model's problem.
         network: The model's network; `rule` if a rule answers in its place: what answers is evaluated.
-        held_out: Whether these executions were held out in training.
+        held_out: Whether its training knew the logs of the dataset, and these executions were not learned from.
         executions: Executions evaluated.
         metrics: Errors over all their usable rows.
         mse: Mean squared errors, first of what answers (`rule` or `model`), then of the network beside a rule and of
@@ -92,6 +92,7 @@ class Evaluation(Result):
         notes: Limits of the comparison, one sentence each.
         better: Baseline that is better than the model by more than chance; None if there is none.
         drift: Changes since the training; None if not requested.
+        learned: Number of these executions that the model learned from: errors on others are larger.
     """
 
     problem: str
@@ -106,6 +107,7 @@ class Evaluation(Result):
     notes: tuple[str, ...] = ()
     better: BetterRival | None = None
     drift: Drift | None = None
+    learned: int = 0
 
     @property
     def accuracy(self) -> float | None:
@@ -125,6 +127,7 @@ class Evaluation(Result):
             "levels": [vars(row) for row in self.levels],
             "dropped": dict(self.dropped),
             "notes": list(self.notes),
+            "learned": self.learned,
             "better": None if self.better is None else vars(self.better),
             **({} if self.drift is None else {"drift": self.drift.to_dict()}),
         }
@@ -154,8 +157,9 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate what answers for `model`, its rule or network, on executions of `dataset` that it was not trained on.
 
-    If it was trained on this dataset, these are the executions held out in training, and the baselines learn from its
-    training executions. Otherwise they are all executions, and there are no baselines.
+    If it was trained on logs of this dataset, these are the executions that it did not learn from, and the baselines
+    learn from its training executions. Otherwise they are all executions, and there are no baselines. Whether it was is
+    told by the checksums of the logs, so a dataset may have been ingested again, copied, renamed or have grown.
 
     Args:
         model: Any model.
@@ -166,14 +170,16 @@ def evaluate(
 
     Raises:
         DatasetError: No row of these executions can be used.
-        ModelError: The model is of another cell, or was trained on this dataset and its card does not name the held-out
-            executions.
+        ModelError: The model is of another cell, or was trained on logs of this dataset and its card does not name the
+            held-out executions.
     """
     tell = progress or (lambda fraction, text: None)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
     dataset = as_learned_by(model.card, dataset)
-    same = model.card.dataset_sha256 == fingerprint(dataset)
-    executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
+    names = tuple(dataset.executions["execution"].to_list())
+    learned_from = _learned_from(model) if may_share_logs(model.card, dataset) else frozenset()
+    executions = tuple(name for name in names if name not in learned_from) or names
+    held_out = not learned_from.isdisjoint(names) and learned_from.isdisjoint(executions)
     every = len(executions)
     executions = some_executions(dataset, executions, memory_rows())
     tell(0.02, "reading the test executions")
@@ -191,9 +197,10 @@ def evaluate(
             f"{len(executions)} of {every} executions are evaluated, drawn at random: the memory is too small for all"
         )
     notes += height_notes(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
-    if same:
+    training = model.card.split.train if held_out and model.card.split is not None else ()
+    if training and set(training) <= set(names):
         tell(0.4, "reading the training samples of the baselines")
-        learned = _rows(model, dataset, some_executions(dataset, _learned_from(model), memory_rows()))
+        learned = _rows(model, dataset, some_executions(dataset, training, memory_rows()))
         tell(0.6, f"fitting the baselines to {len(learned)} samples")
         others = rivals(learned, rows, model.levels, signals=bool(model.card.operator_signals))
         if boosting:
@@ -204,13 +211,14 @@ def evaluate(
             named = {other.name: other.squared for other in others}
             better = better_rival(model.card.spec, squared, named, rows.execution)
     else:
-        notes.append("not the dataset the model was trained on: all executions are evaluated, without baselines")
+        why = _why_alone(held_out, bool(learned_from), not learned_from.isdisjoint(names))
+        notes.append(f"{why}, without baselines")
     tell(0.95, "evaluating levels")
     confusion = _confusion(answering, rows) if model.levels and model.problem != "average" else None
     return Evaluation(
         model.problem,
         answering.network,
-        same,
+        held_out,
         executions,
         metrics,
         tuple(table),
@@ -219,6 +227,7 @@ def evaluate(
         dict(rows.dropped),
         tuple(notes),
         better,
+        learned=len(learned_from.intersection(executions)),
     )
 
 
@@ -246,15 +255,27 @@ def evaluate_at(
     return replace(found, drift=changed)
 
 
-def _held_out(model: TrainedModel) -> tuple[str, ...]:
-    if not model.card.held_out or not _learned_from(model):
+def _learned_from(model: TrainedModel) -> frozenset[str]:
+    """Return the names of the executions that a model learned from, or by which its training was stopped."""
+    split = model.card.split
+    if split is None or not split.test or not split.train:
         msg = "the model's card does not say which executions were held out"
         raise ModelError(msg, cure="Train it again: cyclekit train DATASET --out MODEL")
-    return model.card.held_out
+    return frozenset((*split.train, *split.validation))
 
 
-def _learned_from(model: TrainedModel) -> tuple[str, ...]:
-    return model.card.split.train if model.card.split is not None else ()
+def _why_alone(held_out: bool, same_logs: bool, same_names: bool) -> str:
+    """Return why a model is evaluated on these executions, and why no baseline can learn from those it learned from."""
+    if held_out:
+        return "not all executions that the model learned from are in this dataset: the others are evaluated"
+    if same_names:
+        return "the model learned from every execution of this dataset: errors on others are larger"
+    if same_logs:
+        return (
+            "the model learned from these logs, whose executions had other names: which ones is unknown, and errors on "
+            "others may be larger; all are evaluated"
+        )
+    return "not the dataset the model was trained on: all executions are evaluated"
 
 
 def _boosted(model: TrainedModel, dataset: Dataset, learned: Samples, rows: Samples) -> list[Rival]:

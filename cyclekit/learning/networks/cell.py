@@ -96,6 +96,17 @@ def trained_on(card: TrainingCard, dataset: Dataset) -> bool:
     return card.cell is not None and 2 * len(set(card.cell.logs) & set(here)) > len(here)
 
 
+def may_share_logs(card: TrainingCard, dataset: Dataset) -> bool:
+    """Return whether the dataset may hold logs that the model was trained on: certain by their checksums.
+
+    Without checksums on one side nothing shows the opposite.
+    """
+    if card.dataset_sha256 == fingerprint(dataset):
+        return True
+    here = cell_of(dataset).logs
+    return card.cell is not None and (not here or not card.cell.logs or not here.keys().isdisjoint(card.cell.logs))
+
+
 def _other_places(learned: Mapping[str, _Spot], here: Mapping[str, _Spot]) -> str | None:
     """Return how the places differ; the cell with fewer places may be a subset of the other."""
     if not learned or not here:

@@ -27,7 +27,10 @@ KINDS = {
 }
 """How the help calls the kinds of values."""
 PATHS: dict[str, dict[str, str]] = {
-    "ingest": {"logs": "logs", "out": "dataset", "cell": "cell", "align_clocks": "align_clocks"},
+    "ingest": {
+        **{"logs": "logs", "out": "dataset", "cell": "cell", "align_clocks": "align_clocks"},
+        **{"pseudonymise": "pseudonymise", "follow_links": "follow_links"},
+    },
     "inspect": {"path": "made", "sequences": "sequences_there"},
     "trace": {"dataset": "dataset"},
     "levels": {"dataset": "dataset"},
@@ -128,6 +131,6 @@ class _LeftOut:
         value = getattr(project, key)
         if key == "logs" and name == "path":
             (value, *_) = value
-        if value is not None:
+        if value is not None and value is not False:
             self.taken[name] = " ".join(value) if isinstance(value, tuple) else value
         return list(value) if isinstance(value, tuple) else value

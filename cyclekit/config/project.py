@@ -32,6 +32,7 @@ class Project:
         name: Title of the report; empty: the name of the folder.
         cell: Cell file; None: the one in the folder of the logs.
         align_clocks: As in the cell file, which it overrides.
+        pseudonymise, follow_links: As the options of `ingest`.
         dataset: Folder of the dataset.
         model: Folder of the model.
         sequences: Sequence file to estimate.
@@ -47,6 +48,8 @@ class Project:
     name: str = ""
     cell: _Text | None = None
     align_clocks: AlignClocks | None = None
+    pseudonymise: bool = False
+    follow_links: bool = False
     dataset: _Text = "dataset"
     model: _Text = "model"
     sequences: _Text = "sequences.toml"
@@ -93,6 +96,7 @@ _SAID = {
     "name": "title of the report; else the name of this folder",
     "cell": "what the logs do not contain; default: cell.toml in the folder of the logs, if it exists",
     "align_clocks": "align a tracker's clock by the robot's slow-downs, also in doubt (docs/clocks.md)",
+    "pseudonymise": "keep no track ids and no wall-clock time (docs/privacy.md)",
     "dataset": "made by ingest",
     "model": "made by train",
     "sequences": "the orders whose cycle time is estimated",
@@ -114,7 +118,7 @@ def project_to_toml(project: Project) -> str:
         if value:
             lines.append(f"{each.name} = {toml_value(list(value) if isinstance(value, tuple) else value)}{told}")
         elif each.name in _SAID:
-            lines.append(f'# {each.name} = "{_EXAMPLES[each.name]}"{told}')
+            lines.append(f"# {each.name} = {toml_value(_EXAMPLES[each.name])}{told}")
     return "\n".join(lines) + "\n"
 
 
@@ -122,6 +126,7 @@ _EXAMPLES = {
     "name": "cell 4",
     "cell": "cell.toml",
     "align_clocks": "coarse",
+    "pseudonymise": True,
     "jobs": "jobs.toml",
     "takt": "105s",
     "baseline": "left table first",

@@ -159,8 +159,9 @@ def run_project(
         if stage not in PROJECT_STAGES:
             raise UnknownName("run_project()", "stage", stage, PROJECT_STAGES)
     cell = ProjectCell(
-        told.name, told.logs, str(file.parent), told.cell, told.sequences, align_clocks=told.align_clocks, project=told
-    )
+        told.name, told.logs, str(file.parent), told.cell, told.sequences, told.pseudonymise,
+        follow_links=told.follow_links, align_clocks=told.align_clocks, project=told,
+    )  # fmt: skip
     inputs = [*told.logs, file, told.cell, told.sequences, told.template]
     check_output(cell.ledger, "cell", inputs, option=f"{file}")
     page: Kind = "workbook" if told.report.endswith(".xlsx") else "page"

@@ -22,10 +22,12 @@ from cyclekit.api.evaluate import evaluate_model
 from cyclekit.api.ingest import ingest_logs
 from cyclekit.api.report import write_report
 from cyclekit.api.train import train_model
+from cyclekit.config import Cell
 from cyclekit.config.sequences import load_sequences
+from cyclekit.config.write import toml_value
 from cyclekit.dataset.cards import BadCard, CellLedger, StageCard, checked, parse_json, plain
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import CyclekitError, DatasetError, ModelError, NothingPublished, StorageError
+from cyclekit.errors import ConfigError, CyclekitError, DatasetError, ModelError, NothingPublished, StorageError
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
 from cyclekit.fleet.read import REPORT
@@ -38,7 +40,7 @@ from cyclekit.storage.scratch import Scratch
 from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from cyclekit.api.arguments import Progress
     from cyclekit.config.sequences import TaskSequence
@@ -137,26 +139,41 @@ def record_stage(cell: FleetCell, ledger: CellLedger, row: StageResult) -> CellL
 
 
 def _ingest(work: CellAtWork) -> tuple[State, str]:
-    cell, logs = work.cell, work.cell.logs()
+    cell, logs, before = work.cell, work.cell.logs(), dataset_of(work.cell)
+    if before is not None and before.card.pseudonymised and not cell.pseudonymise:
+        msg = f"{cell.dataset}: names and times of day were taken out of it, and would be read again"
+        cure = "Keep them out: pseudonymise = true in the project or fleet file; or remove the dataset."
+        raise ConfigError(msg, cure=cure)
     work.ledger = replace(work.ledger, not_read=(), not_read_more=0)
     report = ingest_logs(
         logs,
         cell.dataset,
         cell=None if cell.cell_file is None else mirrored(cell.cell_file),
         pseudonymise=cell.pseudonymise,
+        keep_skeletons=before is not None and before.card.skeletons,
         align_clocks=cell.align_clocks,
         checksums=cell.checksums,
         follow_links=cell.follow_links,
         progress=work.tell,
     )
     days: dict[str, dt.date] = {}  # drops earlier ones too
+    made = Dataset.open(report.dataset)
     if not cell.pseudonymise:
-        days = days_of(Dataset.open(report.dataset), [mirrored(place) for place in logs])
+        days = days_of(made, [mirrored(place) for place in logs])
     unread = tuple(f"{path}: {reason}" for path, reason in report.not_read)
     work.ledger = replace(work.ledger, days=days, not_read=unread[:SHOWN], not_read_more=max(0, len(unread) - SHOWN))
     told = f"{report.executions} executions, {report.recordings_new} recordings read"
     told += f"; not read: {work.ledger.unread}" if unread else ""
-    return ("unchanged" if report.unchanged else "done"), told
+    return ("unchanged" if report.unchanged else "done"), "; ".join([told, *(_undone(before, made) if before else ())])
+
+
+def _undone(before: Dataset, made: Dataset) -> Iterator[str]:
+    """Yield a sentence for each setting of the last dataset, such as a typed option, that no file states."""
+    then, now = before.card.settings, made.card.settings
+    for name in ("align_clocks", "rate_hz", "accept_bad_logs"):
+        if getattr(now, name) == getattr(Cell(), name) != getattr(then, name):
+            was = toml_value(getattr(then, name))
+            yield f"the last dataset had {name} = {was}: to keep it, write that into the cell file"
 
 
 def _train(work: CellAtWork) -> tuple[State, str]:

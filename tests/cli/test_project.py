@@ -267,6 +267,30 @@ def test_the_next_run_aligns_clocks_as_the_project_says(begun: Path, cyclekit: S
     assert "up to date" in cyclekit("ingest").out
 
 
+def test_run_says_how_to_keep_what_was_typed_at_ingest(begun: Path, logs: Path, cyclekit: Shell) -> None:
+    assert cyclekit("ingest", "--align-clocks", "coarse", "--rate", "20", "--keep-skeletons").code == 0
+    told = cyclekit("run", "--json")
+    (text,) = (row["text"] for row in told.document["rows"] if row["stage"] == "ingest")
+    for kept in ('align_clocks = "coarse"', "rate_hz = 20"):
+        assert f"the last dataset had {kept}" in text
+    assert "cell file" in text
+    assert Dataset.open("dataset").card.skeletons  # no file can say so
+    again = {row["stage"]: row["text"] for row in cyclekit("run", "--json").document["rows"]}
+    assert "last dataset" not in again["ingest"]
+
+
+def test_run_never_puts_names_back_that_were_taken_out(begun: Path, cyclekit: Shell) -> None:
+    assert cyclekit("ingest", "--pseudonymise").code == 0
+    told = cyclekit("run", "--json")
+    assert states(told)["ingest"] == "failed"
+    assert "pseudonymise = true" in told.document["rows"][0]["text"]
+    assert Dataset.open("dataset").card.pseudonymised
+    file = begun / "cyclekit.toml"
+    file.write_text(re.sub(r"(?m)^# pseudonymise", "pseudonymise", file.read_text("utf-8")), "utf-8")
+    assert states(cyclekit("run", "--json"))["ingest"] == "unchanged"
+    assert "up to date" in cyclekit("ingest").out
+
+
 def test_run_does_what_changed_and_nothing_else(begun: Path, sequences: Path, cyclekit: Shell) -> None:
     shutil.copy(sequences, "sequences.toml")
     first = states(cyclekit("run", "--json"))

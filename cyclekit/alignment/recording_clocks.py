@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ from cyclekit.dataset.signals import event_times
 from cyclekit.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Mapping, Sequence
 
     from cyclekit.config import Source
     from cyclekit.dataset.sessions import LogGroup
@@ -86,6 +87,8 @@ def place_in_time(
             fits[log.id] = _fit(log, master, source, sources[master.id], tables)
         except ConfigError as error:
             raise ConfigError(f"{log.shown}: {error.seen}", nearest=error.nearest, cure=error.cure) from error
+    _check_start(session, sources[master.id], fits)
+    fits |= _with_common_starts([log for log in session.logs if log.id in fits], fits, sources)
     for log in borrowers.values():
         lender = _lender(log, session, sources, borrowers)
         borrowed = replace(fits[lender.id], same_as=lender.id)
@@ -148,6 +151,8 @@ def _fit(
     plain = fit_clock(log, main, source)
     if plain.method != ASSUMED:
         return plain
+    if log.kind == "epoch" and master_source is not None and master_source.start is not None:
+        return _started(-_instant(master_source.start))
     if (stamped := _by_stamps(entry, master, tables.read)) is not None:
         return stamped.since(main.first_s)
     if any(_restarts(_stamps_of(one, tables.read)) for one in (entry, master)):
@@ -289,11 +294,59 @@ def _restarts(stamps: pl.DataFrame | None) -> bool:
 
 def _by_start(log: ClockStart, main: ClockStart, start: str, robot: Source | None) -> ClockFit:
     if robot is not None and robot.start is not None:
-        began_s = datetime.fromisoformat(robot.start).timestamp()
+        began_s = _instant(robot.start)
     elif main.kind == "epoch":
         began_s = main.first_s
     else:
         cure = "Add start = … to the robot's source as well, or use sync."
         raise ConfigError("start is given, but the robot log holds no time of day", cure=cure)
-    apart = datetime.fromisoformat(start).timestamp() - began_s
-    return ClockFit("start-text", apart - log.first_s, warnings=(note("clock-by-start"),), residual_s=START_GOOD_TO_S)
+    return _started(_instant(start) - began_s - log.first_s)
+
+
+def _started(offset_s: float) -> ClockFit:
+    return ClockFit("start-text", offset_s, warnings=(note("clock-by-start"),), residual_s=START_GOOD_TO_S)
+
+
+def _instant(start: str) -> float:
+    """Return a date and time as seconds since 1970."""
+    return datetime.fromisoformat(start).timestamp()
+
+
+def _check_start(session: LogGroup, robot: Source | None, fits: Mapping[str, ClockFit]) -> None:
+    """Refuse a start of the robot's log that relates it to no other log of the session.
+
+    Raises:
+        ConfigError: Its times are dates already, or no other log has a start or dates.
+    """
+    if robot is None or robot.start is None or len(session.logs) == 1:
+        return
+    if session.logs[0].clock.kind == "epoch":
+        seen, cure = "start is given, but its times count since 1970", "Remove start, or correct clock in its map."
+    elif all(fit.method != "start-text" for fit in fits.values()):
+        seen = "start is given, but no other log of the session has a start, or times since 1970 without another clock"
+        cure = "Add start = … to the other source as well, or remove it here."
+    else:
+        return
+    raise ConfigError(f"{session.logs[0].shown}: {seen}", cure=cure)
+
+
+def _with_common_starts(
+    logs: Sequence[LogCard], fits: Mapping[str, ClockFit], sources: Mapping[str, Source | None]
+) -> dict[str, ClockFit]:
+    """Return the clocks of logs that are assumed to start with the robot: of files of one clock, the first one does.
+
+    Files of one source are of one clock if they count since 1970, or if their times run on from file to file.
+    """
+    made: dict[str, ClockFit] = {}
+    assumed = [log for log in logs if fits[log.id].method == ASSUMED]
+    for kind in dict.fromkeys(of_one_kind(log, sources) for log in assumed):
+        mine = sorted((log for log in assumed if of_one_kind(log, sources) == kind), key=lambda log: log.first_s)
+        if all(log.clock.kind == "epoch" or before.last_s <= log.first_s for before, log in pairwise(mine)):
+            made |= {log.id: replace(fits[log.id], offset_s=-mine[0].first_s) for log in mine}
+    return made
+
+
+def of_one_kind(log: LogCard, sources: Mapping[str, Source | None]) -> tuple[str, ...]:
+    """Return what the files of one device have in common: their source in the cell file, else adapter and tables."""
+    source = sources[log.id]
+    return (source.path,) if source is not None else ("", log.adapter, *log.tables)

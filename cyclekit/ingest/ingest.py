@@ -13,7 +13,6 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +31,7 @@ from cyclekit.dataset.cards import (
 from cyclekit.dataset.checksums import file_cards, with_checksum
 from cyclekit.dataset.dataset import CARD, TASKS, Dataset
 from cyclekit.dataset.guard import check_output
-from cyclekit.dataset.sessions import OVERLAP_S, WITHOUT_PLACES, group_sessions, unpaired, with_empty
+from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired, with_empty
 from cyclekit.dataset.shared_index import shared_rows
 from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.dataset.signals import logged_bits
@@ -44,6 +43,7 @@ from cyclekit.ingest.bad_logs import refuse_bad
 from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
 from cyclekit.ingest.free_text import Words
+from cyclekit.ingest.log_spans import robots_at_once, with_span_notes
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
 from cyclekit.ingest.read.read_logs import Digests, ReadSettings, check_shared, read_all
 from cyclekit.ingest.read.resume import ResumeStore
@@ -69,9 +69,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import Read, Stored
 
 Progress = Callable[[float, str], None]
-
-DATED_S = 9.4e8
-"""Times above it, s, are dates: since 1970 those from 1999 on. No controller runs for 30 years."""
 
 
 @one_thread()
@@ -255,9 +252,10 @@ def _build(
     by_id = {one.id: one for one in digests.settle(derived.recordings)}
     for name, log in copies.items():
         by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)
-    recordings = [by_id[name] for name in (*(one.id for one in read), *copies)]
+    files = {log.shown: log.path for log in wanted.logs}
+    recordings = with_span_notes([by_id[name] for name in (*(one.id for one in read), *copies)], copies, files)
     warnings += _copied([by_id[one.id] for one in read])
-    warnings += _at_once([by_id[one.id] for one in read])
+    warnings += robots_at_once([by_id[one.id] for one in read])
     if names is not None:
         recordings = take_out(recordings, names, staging, copies)
         warnings = names.notes(warnings)
@@ -374,21 +372,6 @@ def _copied(logs: Sequence[LogCard]) -> list[Note]:
         if (same := first.setdefault(largest.blake3, log.shown)) != log.shown:
             copies.append((log.shown, same))
     return [note("log-copied", copies=len(copies), copy=copies[0][0], of=copies[0][1])] if copies else []
-
-
-def _at_once(logs: Sequence[LogCard]) -> list[Note]:
-    """Return a note if robot logs with dates overlap: they are of several robots, which are a dataset each.
-
-    Without a time zone such times count as relative, but those of all robots are probably of the same zone.
-    """
-    robots = [log for log in logs if "robot" in log.tables and (log.clock.kind == "epoch" or log.first_s > DATED_S)]
-    robots.sort(key=lambda log: (log.clock.kind, log.first_s))
-    pairs = [
-        (one, other)
-        for one, other in pairwise(robots)
-        if one.clock.kind == other.clock.kind and other.first_s < one.last_s - OVERLAP_S
-    ]
-    return [note("robots-at-once", one=pairs[0][0].shown, other=pairs[0][1].shown)] if pairs else []
 
 
 def _without_places(logs: Sequence[LogCard]) -> list[Note]:

@@ -135,6 +135,16 @@ def _in_first_part(values: Mapping[str, Value]) -> str:
     )
 
 
+def _clock_apart(values: Mapping[str, Value]) -> str:
+    cure = 'give clock_offset_s, or align_clocks = "logs", in cell.toml'
+    if "offset_s" in values:
+        cure = f"{values['cause']}? Then give clock_offset_s = {float(values['offset_s']):.10g} in cell.toml"
+    return (
+        f"hardly overlaps {values['robot']}: {float(values['outside']):.0%} of the shorter log lies outside the other, "
+        f"and it is {values['late']}; {cure}"
+    )
+
+
 def _events(values: Mapping[str, Value]) -> str:
     many = "one event" if values["events"] == 1 else f"{values['events']} events"
     return f"its clock is aligned on only {many}, too few to check it: record three or more"
@@ -168,6 +178,11 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "clock-assumed": (
         "the offset of its clock to the robot's is unknown: a common start is assumed; "
         "give clock_offset_s, sync or sees in cell.toml"
+    ),
+    "clock-apart": _clock_apart,
+    "clock-future": (
+        "its last time is {late} than its file was written: its clock, its unit or its epoch is wrong; give "
+        "clock_offset_s in cell.toml"
     ),
     "clock-restarted": (
         "a device's clock was restarted while recording, so its stamps cannot align the clock: split the log there"

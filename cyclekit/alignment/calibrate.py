@@ -17,6 +17,7 @@ import polars as pl
 from cyclekit.alignment.frames import FrameFit, fit_frame
 from cyclekit.errors import DamagedLog, LogError, MissingColumns
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.numbers import fixed
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class Calibration(Result):
         return pl.DataFrame({"point": list(self.points), "residual_m": self.fit.residual_m.tolist()})
 
     def _lines(self) -> list[str]:
-        return [f"{len(self.points)} points, rms {1000 * self.fit.rms_m:.1f} mm", self.line]
+        return [f"{len(self.points)} points, rms {fixed(1000 * self.fit.rms_m, 1)} mm", self.line]
 
 
 @one_thread()

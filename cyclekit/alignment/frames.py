@@ -13,6 +13,7 @@ import numpy as np
 
 from cyclekit.config import Frame
 from cyclekit.errors import ConfigError, ShapeError
+from cyclekit.text.numbers import compact, fixed, given, signed
 
 if TYPE_CHECKING:
     from cyclekit.schema import Floats
@@ -105,7 +106,7 @@ def fit_frame(log_m: Floats, base_m: Floats, *, up: Literal["y", "z"] = "z") -> 
     rms = float(np.sqrt(np.mean(residual**2)))
     if mirrored and rms > 0.02:
         raise ConfigError(
-            f"the points fit only if mirrored (residual otherwise {1000 * rms:.0f} mm rms)",
+            f"the points fit only if mirrored (residual otherwise {fixed(1000 * rms, 0)} mm rms)",
             cure="One axis has the wrong sign, or the tracker counts y upwards: try --up y.",
         )
     origin = base_m.mean(axis=0) - turn @ here.mean(axis=0)
@@ -130,12 +131,13 @@ def _scale(a: Floats, b: Floats) -> float:
     for factor, whose in ((1 / MILLIMETRES, "the tracker's"), (MILLIMETRES, "the robot's")):
         if abs(scale / factor - 1) < SCALE_SLACK:
             raise ConfigError(
-                f"{whose} points are {MILLIMETRES:g} times as far apart as the other's: millimetres taken for metres",
+                f"{whose} points are {given(MILLIMETRES)} times as far apart as the other's: millimetres "
+                "taken for metres",
                 cure=f"Name {whose} columns …_mm instead of …_m.",
             )
     if not 0.5 < scale < 2:
         raise ConfigError(
-            f"the robot's points are {scale:.3g} times as far apart as the tracker's",
+            f"the robot's points are {compact(scale, 3)} times as far apart as the tracker's",
             cure="Check the units of the columns, and that each row is one point.",
         )
     return scale
@@ -145,7 +147,7 @@ def _refuse_line(a: Floats, b: Floats) -> None:
     for points, whose in ((a, "tracker"), (b, "robot")):
         across = np.linalg.svd(points, compute_uv=False)[1] / np.sqrt(len(points))
         if across < MIN_SPREAD_M:
-            seen = f"the points of the {whose} lie within {1000 * across:.0f} mm of one line"
+            seen = f"the points of the {whose} lie within {fixed(1000 * across, 0)} mm of one line"
             raise ConfigError(
                 f"{seen}: the rotation of the frame about that line is unknown",
                 cure="Touch points off the line as well, half a metre or more.",
@@ -157,17 +159,19 @@ def _doubts(a: Floats, b: Floats, rms: float, scale: float) -> list[str]:
     if len(a) == 3:
         found.append("three points fit almost any frame: touch a fourth to check it")
     if abs(scale - 1) > 0.02:
-        found.append(f"the robot's points are {100 * (scale - 1):+.1f} % farther apart than the tracker's: check both")
+        found.append(
+            f"the robot's points are {signed(100 * (scale - 1), 1)} % farther apart than the tracker's: check both"
+        )
     if rms <= 0.01:
         return found
     others, worst = _without_worst(a, b)
     if others < 0.3 * rms:
         found.append(
-            f"point {worst + 1} does not fit: without it the others agree within {1000 * others:.1f} mm (rms), "
-            f"with it within {1000 * rms:.0f} mm; touch it again or remove it"
+            f"point {worst + 1} does not fit: without it the others agree within {fixed(1000 * others, 1)} mm (rms), "
+            f"with it within {fixed(1000 * rms, 0)} mm; touch it again or remove it"
         )
     elif rms > 0.02:
-        found.append(f"the points disagree by {1000 * rms:.0f} mm (rms): check that each row is one point")
+        found.append(f"the points disagree by {fixed(1000 * rms, 0)} mm (rms): check that each row is one point")
     return found
 
 

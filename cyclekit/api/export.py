@@ -15,6 +15,7 @@ from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.rules.safety import RuleSafety, predictor_of
 from cyclekit.learning.rules.words import kind_of, sentences
 from cyclekit.storage.atomic import write_text
+from cyclekit.text.numbers import scientific
 from cyclekit.text.plain_json import json_text
 from cyclekit.text.results import Result
 
@@ -44,7 +45,9 @@ class ExportedModel(Result):
         if self.is_rule:
             return [f"{self.path}: the rule that answers"]
         off = self.difference
-        checked = "not checked: onnxruntime is not installed" if off is None else f"within {off:.0e} of cyclekit"
+        checked = (
+            "not checked: onnxruntime is not installed" if off is None else f"within {scientific(off, 0)} of cyclekit"
+        )
         return [f"{self.path}: {checked}"]
 
 

@@ -15,6 +15,7 @@ from cyclekit.estimate.finding import Finding, light_of
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.robot.safety import SafetyModel
 from cyclekit.learning.task_times.saved import TaskTimesModel
+from cyclekit.text.numbers import compact, given, percent
 from cyclekit.text.results import Result
 
 SHARE, CONFIDENCE = 0.95, 0.95
@@ -87,7 +88,7 @@ class GateVerdict(Result):
         blocking = tuple(finding.shown for finding in one.findings if finding.blocks)
         _, low, high = self._shares(one)
         close = (
-            f"the share may be {low:.1%} to {high:.1%}, and {self.share:.1%} is between: "
+            f"the share may be {percent(low, 1)} to {percent(high, 1)}, and {percent(self.share, 1)} is between: "
             f"log more executions than these {one.executions}, or ask for another share or confidence"
         )
         return (*blocking, *([close] if low < self.share <= high else []))
@@ -122,8 +123,10 @@ class GateVerdict(Result):
         share, low, high = self._shares(self.worst)
         least = f", which decides of {len(self.estimates)} sequences" if len(self.estimates) > 1 else ""
         line = (
-            f"{self.answer}: {share:.1%} of the cycles of {self.worst.name!r} are within {self.takt_s:g} s{least}; "
-            f"with {self.confidence:.4g} confidence at least {low:.1%}, at most {high:.1%}; asked for {self.share:.1%}"
+            f"{self.answer}: {percent(share, 1)} of the cycles of {self.worst.name!r} are within "
+            f"{given(self.takt_s)} s{least}; "
+            f"with {compact(self.confidence, 4)} confidence at least {percent(low, 1)}, at most "
+            f"{percent(high, 1)}; asked for {percent(self.share, 1)}"
         )
         return [line, *self.why_unknown(self.worst)]
 
@@ -172,14 +175,14 @@ def gate_takt(
         EstimateError: A sequence cannot be answered from these logs.
     """
     if confidence is not None and share is None:
-        seen = f"confidence = {confidence:g} without share: confidence is no longer the share of cycles"
+        seen = f"confidence = {given(confidence)} without share: confidence is no longer the share of cycles"
         cure = "Give both: share, the share of cycles within the takt, and confidence, how sure that must be."
         raise ConfigError(seen, cure=cure)
     share, confidence = SHARE if share is None else share, CONFIDENCE if confidence is None else confidence
     if not 0.0 < share < 1.0:
-        raise ConfigError(f"share = {share:g} is not between 0 and 1", cure="Give 0.95, say.")
+        raise ConfigError(f"share = {given(share)} is not between 0 and 1", cure="Give 0.95, say.")
     if not 0.5 <= confidence < 1.0:
-        raise ConfigError(f"confidence = {confidence:g} is not in 0.5 to 1", cure="Give 0.95, say.")
+        raise ConfigError(f"confidence = {given(confidence)} is not in 0.5 to 1", cure="Give 0.95, say.")
     wanted = sequences_of(sequences)
     if sequence is not None:
         names = [one.name for one in wanted]

@@ -19,6 +19,7 @@ from cyclekit.inspect.facts import DatasetDescription, Description
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.outputs import check_writable
 from cyclekit.storage.remote.folders import local
+from cyclekit.text.numbers import given
 from cyclekit.text.results import Result
 
 
@@ -100,7 +101,7 @@ def plan_recordings(dataset: Dataset | Place, sequences: Sequences = (), *, with
         ConfigError: `within` is not between 0 and 1, or the sequence file cannot be read.
     """
     if not 0.0 < within < 1.0:
-        raise ConfigError(f"within = {within:g} is not between 0 and 1", cure="Give 0.01 for +-1 %, say.")
+        raise ConfigError(f"within = {given(within)} is not between 0 and 1", cure="Give 0.01 for ± 1 %, say.")
     return what_to_log(Dataset.of(dataset), sequences_of(sequences), within=within)
 
 

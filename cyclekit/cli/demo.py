@@ -214,4 +214,4 @@ def _table(estimates: CycleEstimates) -> str:
         ]
         for rank, one in enumerate(estimates, start=1)
     ]
-    return table(["order ", "mean, s", "95% CI", "slow-down"], rows)
+    return table(["order ", "mean, s", "95 % CI", "slow-down"], rows)

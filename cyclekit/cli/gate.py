@@ -19,6 +19,7 @@ from cyclekit.cli.options import (
     seconds,
 )
 from cyclekit.cli.terminal import Terminal, bullet
+from cyclekit.text.numbers import given
 
 EXAMPLE = "cyclekit gate model sequences.toml --dataset dataset --takt 105s --share 0.95"
 
@@ -54,9 +55,9 @@ def gate(
         msg = "--confidence is no longer the share of cycles: give --share too, and --confidence is how sure it must be"
         raise typer.BadParameter(msg, param_hint="--confidence")
     if share is not None and not 0 < share < 1:
-        raise typer.BadParameter(f"{share:g} is not between 0 and 1", param_hint="--share")
+        raise typer.BadParameter(f"{given(share)} is not between 0 and 1", param_hint="--share")
     if confidence is not None and not 0.5 <= confidence < 1:
-        raise typer.BadParameter(f"{confidence:g} is not in 0.5 to 1", param_hint="--confidence")
+        raise typer.BadParameter(f"{given(confidence)} is not in 0.5 to 1", param_hint="--confidence")
     with terminal.progress("estimating") as progress:
         found = gate_takt(
             model,

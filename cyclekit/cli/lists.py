@@ -175,5 +175,5 @@ def coupling_table(found: CouplingCard | None) -> str:
         rows.append([row.who, row.until, *lag, percent(row.condition.held), row.had_to_wait])
     if not rows:
         return f"waits of robot and operator for each other: none found in {found.executions} executions"
-    heads = ["who waits ", "until ", "lag, s", "5-95%", "obeyed", "had to wait"]
+    heads = ["who waits ", "until ", "lag, s", "5 to 95 %", "obeyed", "had to wait"]
     return "\n".join([table(heads, rows), *habit_lines(found)])

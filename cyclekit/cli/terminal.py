@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from cyclekit.text.numbers import FOR_TERMINALS, duration, percent
+from cyclekit.text.numbers import duration, percent
 from cyclekit.text.plain_json import json_text
 from cyclekit.text.plain_text import one_line, visible
 
@@ -104,8 +104,8 @@ def _fitted(line: str, width: int) -> str:
 
 
 def _print(text: str, *, err: bool = False) -> None:
-    """Print text with terminal control characters escaped, and with the signs that every terminal has."""
-    typer.echo(visible(text).translate(FOR_TERMINALS), err=err)
+    """Print text with terminal control characters escaped."""
+    typer.echo(visible(text), err=err)
 
 
 def write_json(document: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal
-from cyclekit.text.numbers import compact, fixed
+from cyclekit.text.numbers import fixed, given
 
 if TYPE_CHECKING:
     from cyclekit.dataset.trace import Trace
@@ -62,4 +62,4 @@ def page(found: Trace) -> str:
 
 
 def _shown(value: Any) -> str:  # noqa: ANN401 - whatever a table holds
-    return compact(value, 6) if isinstance(value, float) else str(value)
+    return given(value) if isinstance(value, float) else str(value)

@@ -180,7 +180,7 @@ def task_times_summary(found: TaskTimesModel) -> str:
     if held_out is not None:
         held = (
             f"held out: {held_out.orders} order{'s' * (held_out.orders != 1)}, "
-            f"mean cycle time {signed_percent(held_out.bias, 1)} off (+-{percent(held_out.within)}), "
+            f"mean cycle time {signed_percent(held_out.bias, 1)} off (± {percent(held_out.within)}), "
             f"spread over orders {percent(held_out.order_error)}"
         )
     lines = [held, *found.card.notices]
@@ -209,9 +209,7 @@ def summary(card: TrainingCard) -> str:
     levels = "continuous" if card.rule is not None and card.rule.law is not None else levels
     held_out = "nothing"
     if metrics is not None:
-        named = (
-            "" if metrics.accuracy is None else f", {fixed(100 * metrics.accuracy, 1)}% of levels predicted correctly"
-        )
+        named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy, 1)} of levels predicted correctly"
         held_out = f"MSE {scientific(metrics.mse_mean)}, mean absolute error {fixed(metrics.mae, 4)}{named}"
     rule = "" if card.rule is None else "".join(f"\n  {line}" for line in rule_lines(card.rule))
     return (

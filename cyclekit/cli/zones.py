@@ -181,7 +181,7 @@ def _thresholds(found: SafetyFunction) -> str:
         for entry, network in zip(found.thresholds, found.thresholds_of_network, strict=True)
     ]
     title = "" if found.is_distance else "Best thresholds on a distance, though distance is not enough"
-    return table(["level ", "threshold, m", "from", "to (95%)", "of the network"], rows, title=title)
+    return table(["level ", "threshold, m", "from", "to (95 %)", "of the network"], rows, title=title)
 
 
 def _explained(found: SafetyFunction) -> str:

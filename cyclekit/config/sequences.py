@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, to_dataclass
 from cyclekit.errors import ConfigError
+from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -147,7 +148,7 @@ def _sequence(path: Path, entry: _Entry, index: int) -> TaskSequence:
     if len(places) < 2:
         raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")
     if not 1.0 <= entry.allowance <= MOST_ALLOWED:
-        seen = f"{where}: allowance = {entry.allowance:g} is not between 1 and {MOST_ALLOWED:g}"
+        seen = f"{where}: allowance = {given(entry.allowance)} is not between 1 and {given(MOST_ALLOWED)}"
         raise ConfigError(seen, cure="Leave it as plan wrote it, or out.")
     name = entry.name or f"sequence {index + 1}"
     return TaskSequence(name, places, entry.operator, path, allowance=entry.allowance)

@@ -18,7 +18,9 @@ from cyclekit.errors import DatasetError, ReplacedDataset
 from cyclekit.storage.identify import DATASET_CARD
 from cyclekit.storage.memory import memory_limit_bytes
 from cyclekit.storage.safe_path import safe_path
+from cyclekit.text import numbers
 from cyclekit.text.columns import in_one_line
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -164,8 +166,9 @@ class DatasetFiles:
         needed = _COPIES * needed * kept // max(rows, 1)
         if needed > free:
             raise DatasetError(
-                f"{files[0] if len(files) == 1 else files[0].parent}: {kept:,} rows of {len(wanted)} columns need "
-                f"{needed / 1e9:.1f} GB of memory, and this process may take {free / 1e9:.1f} GB",
+                f"{files[0] if len(files) == 1 else files[0].parent}: {numbers.count(kept)} rows of "
+                f"{len(wanted)} columns need {fixed(needed / 1e9, 1)} GB of memory, and this process may take "
+                f"{fixed(free / 1e9, 1)} GB",
                 cure=_CURE,
             )
 
@@ -236,7 +239,8 @@ class DatasetFiles:
         file = self.verified_file(rows.file)
         with self.reading(file):
             if rows.count != count:
-                seen = f"the index states {rows.count:,} rows of {recording}, dataset.json {count:,}"
+                shown = numbers.count(rows.count), numbers.count(count)
+                seen = f"the index states {shown[0]} rows of {recording}, dataset.json {shown[1]}"
                 raise unreadable(file, self._path, seen)
             return pl.scan_parquet(file, glob=False).slice(rows.first, rows.count).drop(RECORDING)
 

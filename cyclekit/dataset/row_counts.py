@@ -13,6 +13,7 @@ import polars as pl
 
 from cyclekit.errors import DatasetError
 from cyclekit.storage.files import regular
+from cyclekit.text.numbers import count
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,4 +76,6 @@ def check_rows(files: Sequence[Path], most: int, what: str) -> None:
         return
     if rows > most:
         where = files[0] if len(files) == 1 else files[0].parent
-        raise DatasetError(f"{where}: holds {rows:,} rows, but dataset.json states {most:,} {what}", cure=_CURE)
+        raise DatasetError(
+            f"{where}: holds {count(rows)} rows, but dataset.json states {count(most)} {what}", cure=_CURE
+        )

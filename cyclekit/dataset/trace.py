@@ -12,13 +12,14 @@ import zlib
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import polars as pl
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError
 from cyclekit.storage.safe_path import safe_path
+from cyclekit.text.numbers import fixed, given
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -70,9 +71,9 @@ class Trace(Result):
         return [{name: getattr(each, name) for name in names} for each in self.origins]
 
     def _lines(self) -> list[str]:
-        at_s = self.sample["t_s"]
+        at_s = cast("float", self.sample["t_s"])
         return [
-            f"execution {self.execution}, sample at {at_s:.3f} s",
+            f"execution {self.execution}, sample at {fixed(at_s, 3)} s",
             *(f"{each.table}: {each.file}, {each.row_is} {each.source_row}" for each in self.origins),
         ]
 
@@ -97,7 +98,9 @@ def trace(
     name = dataset.find_execution(execution)
     entry = next(one for one in dataset.card.executions if one.execution == name)
     if at_s > (length_s := entry.end_s - entry.start_s):
-        seen = f"{dataset.path}: execution {name} lasts {length_s:.1f} s, so it holds no sample at {at_s:g} s"
+        seen = (
+            f"{dataset.path}: execution {name} lasts {fixed(length_s, 1)} s, so it holds no sample at {given(at_s)} s"
+        )
         raise DatasetError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
     samples = dataset.samples([name])
     if samples.is_empty():

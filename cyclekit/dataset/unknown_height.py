@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import polars as pl
 
+from cyclekit.text.numbers import percent
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -63,5 +65,5 @@ def height_notes(samples: pl.DataFrame) -> list[str]:
     flat = seen["human_z_m"].null_count()
     if not flat:
         return []
-    part = f"{flat / seen.height:.0%} of the samples that see him" if flat < seen.height else "all samples"
+    part = f"{percent(flat / seen.height)} of the samples that see him" if flat < seen.height else "all samples"
     return [f"the height of the operator is unknown in {part}: distances to him are those in the plane there"]

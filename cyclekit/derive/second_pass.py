@@ -23,6 +23,7 @@ from cyclekit.people.activity import OperatorStandstills, Seen, SessionPeople
 from cyclekit.people.hesitations import without_hesitations
 from cyclekit.segmentation.stored_run import Run, Sampled, sampled
 from cyclekit.segmentation.time_account import ExecutedTask, time_account
+from cyclekit.text.numbers import count, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -227,7 +228,7 @@ def _motions(
 
 def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
     if (end - start) * cell.rate_hz > _MAX_SAMPLES:
-        msg = f"{name}: lasts {(end - start) / 86400:.0f} days, more than {_MAX_SAMPLES:,} samples"
+        msg = f"{name}: lasts {fixed((end - start) / 86400, 0)} days, more than {count(_MAX_SAMPLES)} samples"
         raise EstimateError(msg, cure="Look for a time that jumps ahead with `cyclekit inspect`, or cut the log.")
     return np.asarray(start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz)
 

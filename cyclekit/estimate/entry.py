@@ -13,6 +13,7 @@ from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.soundness import MIN_SUPPORT
 from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.estimate.statistics.resample import drawn_errors
+from cyclekit.text.numbers import fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -132,15 +133,16 @@ def _why(ask: Question, combined: Combined | None) -> str:
         return why
     if combined.visits_after is not None:
         return (
-            f"{why} ({combined.rollout_s:.1f} s), weighted {combined.history_share:.0%} with the visits of people that "
-            f"follow {ask.dataset.label(combined.visits_after)} ({combined.history_s:.1f} s)"
+            f"{why} ({fixed(combined.rollout_s, 1)} s), weighted {percent(combined.history_share)} with the "
+            "visits of people that "
+            f"follow {ask.dataset.label(combined.visits_after)} ({fixed(combined.history_s, 1)} s)"
         )
     durations = "the logged durations of the same tasks"
     if combined.by_order:
         durations += " after the places before them"
     return (
-        f"{why} ({combined.rollout_s:.1f} s), weighted {combined.history_share:.0%} with {durations} "
-        f"({combined.history_s:.1f} s)"
+        f"{why} ({fixed(combined.rollout_s, 1)} s), weighted {percent(combined.history_share)} with {durations} "
+        f"({fixed(combined.history_s, 1)} s)"
     )
 
 

@@ -22,6 +22,7 @@ from cyclekit.estimate.soundness import MIN_SUPPORT
 from cyclekit.estimate.validation.check import Check, check_rollout
 from cyclekit.learning.signal_inputs import left_out
 from cyclekit.learning.windows import nobody_there
+from cyclekit.text.numbers import fixed, percent, signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -50,11 +51,11 @@ def no_answer(
     """Return why these cycles give no answer: they do not end, or they need extrapolation that was not allowed."""
     open_ended = float(np.mean(~np.isfinite(cycles.duration_s)))
     if open_ended:
-        part = f"{open_ended:.0%}" if open_ended >= 0.01 else f"{open_ended:.1%}"
-        seen = f"{sequence.shown}: {part} of the cycles do not end within {until_s:.0f} s"
+        part = percent(open_ended) if open_ended >= 0.01 else percent(open_ended, 1)
+        seen = f"{sequence.shown}: {part} of the cycles do not end within {fixed(until_s, 0)} s"
         return EstimateError(seen, cure=ENDLESS)
     if cycles.support < MIN_SUPPORT and not ask.extrapolate:
-        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"
+        seen = f"{sequence.shown}: only {percent(cycles.support)} of it runs through logged positions"
         cure = "Log this part of the cell, or estimate with --extrapolate and mark the number."
         return EstimateError(seen, cure=cure)
     return None
@@ -121,8 +122,8 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
     anywhere = entry.tracks > entry.executions  # half of a cycle as long as a log runs with other executions' operators
     if cycles.spliced > ((1.0 + CONTINUED) / 2.0 if anywhere else CONTINUED):
         found.append(
-            f"{cycles.spliced:.0%} of the time the operator's track is continued with parts of other executions that "
-            "begin in the same state"
+            f"{percent(cycles.spliced)} of the time the operator's track is continued with parts of other "
+            "executions that begin in the same state"
         )
     return found
 
@@ -143,7 +144,7 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel, used: Collection[str] |
     drawn = samples if used is None else samples.filter(pl.col("execution").is_in(list(used)))
     absent = drawn.filter(nobody_there()).height / max(drawn.height, 1)
     if absent > 0.01 and not isinstance(model, OnStates) and model.card.scaling_without_operator is None:
-        found.append(f"in {absent:.0%} of the samples there is no operator: full speed assumed")
+        found.append(f"in {percent(absent)} of the samples there is no operator: full speed assumed")
     ran = {one.execution for one in dataset.card.executions if one.whole and not one.reference}
     away = samples.group_by("execution").agg(away=(pl.col("human_gap") == "absent").fill_null(value=False).all())
     alone = ran & set(away.filter("away")["execution"].to_list())
@@ -160,7 +161,7 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel, used: Collection[str] |
         found.append("the speed scaling was not logged but inferred from velocity ratios")
     usual, other = usual_slider(dataset), turned_otherwise(dataset)
     if usual < 1.0 or other:
-        said = f"estimates, validation and today's cycle are for the speed slider at {usual:.0%}"
+        said = f"estimates, validation and today's cycle are for the speed slider at {percent(usual)}"
         left = f": it stood elsewhere in {len(other)} executions, which are left out" if other else ", as logged"
         found.append(said + left)
     found += [one.text for one in dataset.card.warnings if one.code == "executions-interrupted"]
@@ -206,7 +207,10 @@ def refuse_biased(check: Check | None, *, own: bool = False) -> None:
         ModelError: The bias is significant and larger than REFUSED_BIAS.
     """
     if check is not None and check.biased(REFUSED_BIAS):
-        seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) on {check.executions} logged executions"
+        seen = (
+            f"{signed_percent(check.own_bias, 1)} (± {percent(check.own_within, 1)}) on "
+            f"{check.executions} logged executions"
+        )
         raise ModelError(
             f"the model does not fit these logs: backtested with their own operators, its bias is {seen}",
             cure=(_OWN.format(look=check.look_at) if own else "Train it on them: cyclekit train DATASET --out MODEL")

@@ -10,6 +10,7 @@ import polars as pl
 
 from cyclekit.estimate.finding import Finding
 from cyclekit.learning.repeats import Repeated, find_repeats
+from cyclekit.text.numbers import signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -49,7 +50,7 @@ def with_repeats(
         if one.name in order and (one.name, one.name) not in pairwise(order):
             part_s = order.count(one.name) * one.times / one.visits * one.took_s
             text = f"the logs repeat `{one.name}` {one.times} times in {one.visits} visits; this order has none"
-            findings.append(Finding("repeats", "amber", f"{text}: {part_s / entry.expected_s:+.1%}"))
+            findings.append(Finding("repeats", "amber", f"{text}: {signed_percent(part_s / entry.expected_s, 1)}"))
             more_s += part_s
     if not findings:
         return entry

@@ -12,6 +12,7 @@ from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.validation.several import several_found
+from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -139,13 +140,13 @@ def _support(support: float) -> Iterator[Finding]:
     elif support < ENOUGH_SUPPORT:
         yield Finding("support", "amber", _unlogged(support), LOG_THERE)  # most of the cycle was logged
     elif support == support:
-        yield Finding("support", "green", f"{support:.0%} of the cycle runs through logged positions")
+        yield Finding("support", "green", f"{percent(support)} of the cycle runs through logged positions")
 
 
 def _unlogged(support: float) -> str:
     return (
-        f"{1 - support:.0%} of the cycle runs through positions that were never logged; the error there is unknown, "
-        "and not in the interval of the mean"
+        f"{percent(1 - support)} of the cycle runs through positions that were never logged; the error "
+        "there is unknown, and not in the interval of the mean"
     )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.estimate.finding import Finding
 from cyclekit.learning.task_times.prepared import agent_of, prepared
+from cyclekit.text.numbers import percent, signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -48,7 +49,10 @@ def findings_of_plan(model: TaskModelCard, sequence: TaskSequence) -> tuple[Find
 def _judged(judged: HeldOutCard | None) -> Finding:
     if judged is None:
         return Finding("backtest", "amber", NOT_JUDGED, covered=False)
-    text = f"held-out orders were {judged.bias:+.0%} off on average, with a spread of {judged.order_error:.0%}"
+    text = (
+        f"held-out orders were {signed_percent(judged.bias)} off on average, with a spread of "
+        f"{percent(judged.order_error)}"
+    )
     if max(abs(judged.bias), judged.order_error) <= MAX_ERROR:
         return Finding("backtest", "green", text)
     return Finding("backtest", "red", text, "something that decides the times was not learned")
@@ -102,7 +106,8 @@ def planned_starts_not_kept(model: TaskModelCard, sequence: TaskSequence) -> lis
     free = {card.agent for task, card, held_s in told if (task.not_before_s or 0.0) > held_s}
     return [
         f"planned starts do not hold {agent}: where it was free before one in the logs, it began before it in "
-        f"{model.before_plan[agent]:.0%} of the cases. To hold it all the same, give not_before_s only to single tasks"
+        f"{percent(model.before_plan[agent])} of the cases. To hold it all the same, give not_before_s only "
+        "to single tasks"
         for agent in sorted(free)
     ]
 

@@ -20,6 +20,7 @@ from cyclekit.learning.repeats import Repeated
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, roll_plan
 from cyclekit.learning.task_times.runs import FAILED
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,7 +35,7 @@ SURE_BIAS = 3.0
 """Minimum bias on held-out orders that is corrected, in standard errors: orders are few, and some errors large."""
 WHY = "tasks of both agents rolled out side by side from logged task lists"
 NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
-AT_MEAN_PACE = "at the mean pace of the logged executions {s:.1f} s: compare past executions with that"
+AT_MEAN_PACE = "at the mean pace of the logged executions {s} s: compare past executions with that"
 LOG_IT = "Log executions with it and train again, or leave it out."
 
 
@@ -60,7 +61,7 @@ def estimate_plans(
         progress: Called with the fraction done.
     """
     found = []
-    repeats = [Repeated(one.agent, one.task, one.visits, one.again, one.usual_s) for one in model.tasks if one.again]
+    repeats = repeats_of(model)
     for number, sequence in enumerate(sequences):
         try:
             entry = _estimated(model, sequence, quantiles, takt_s, seed)
@@ -74,6 +75,11 @@ def estimate_plans(
             progress((number + 1) / len(sequences), sequence.name)
     groups = (sorted(some, key=lambda each: each.expected_s) for some in by_work(found).values())
     return [each for some in groups for each in _compared(some)]
+
+
+def repeats_of(model: TaskModelCard) -> list[Repeated]:
+    """Return the tasks that the logs repeat."""
+    return [Repeated(one.agent, one.task, one.visits, one.again, one.usual_s) for one in model.tasks if one.again]
 
 
 def _orders(model: TaskModelCard, sequence: TaskSequence) -> dict[str, list[str]]:
@@ -122,7 +128,7 @@ def _estimated(
         limits=(
             NOT_KNOWN,
             *model.notices,
-            *([AT_MEAN_PACE.format(s=at_mean_pace * expected)] if model.pace else []),
+            *([AT_MEAN_PACE.format(s=fixed(at_mean_pace * expected, 1))] if model.pace else []),
             *_left_out(model),
             *never_in_a_row(model, sequence),
             *planned_starts_not_kept(model, sequence),

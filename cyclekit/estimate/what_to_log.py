@@ -12,6 +12,7 @@ import polars as pl
 
 from cyclekit.errors import DatasetError
 from cyclekit.estimate.statistics.resample import Z95
+from cyclekit.text.numbers import percent
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -92,9 +93,12 @@ class RecordingPlan(Result):
             why = "the robot only waits there, or stood there in few executions"
             found.append(f"not asked for: tasks of {names}: {why}; if it works there, name it in cell.toml")
         if self.half_width is not None and self.half_width > self.within:
-            known = f"the mean cycle time of {self.executions} executions is known to +-{self.half_width:.1%} (95% CI)"
+            known = (
+                f"the mean cycle time of {self.executions} executions is known to "
+                f"± {percent(self.half_width, 1)} (95 % CI)"
+            )
             why = "the interval narrows with the root of their number"
-            found.append(f"{known}; for +-{self.within:.1%} log {self.more} more in all: {why}")
+            found.append(f"{known}; for ± {percent(self.within, 1)} log {self.more} more in all: {why}")
         return found
 
     def _frame_rows(self) -> list[dict[str, object]]:

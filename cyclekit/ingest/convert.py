@@ -25,6 +25,7 @@ from cyclekit.ingest.read.tool_point import TCP, with_tool_point
 from cyclekit.ingest.registry import adapter_named
 from cyclekit.ingest.validate.validate import examined_parts
 from cyclekit.storage.atomic import replaced
+from cyclekit.text.numbers import given
 from cyclekit.text.plain_text import FORMULA
 from cyclekit.text.results import Result
 
@@ -225,7 +226,7 @@ class Thinner:
             ConfigError: The rate is invalid.
         """
         if not 0.0 < rate_hz < 1e5:
-            raise ConfigError(f"rate_hz = {rate_hz:g} is not a rate", cure="Give rows per second, for example 10.")
+            raise ConfigError(f"rate_hz = {given(rate_hz)} is not a rate", cure="Give rows per second, for example 10.")
         self._rate_hz = rate_hz
         self._period_s: float | None = None
         self._waiting: pl.DataFrame | None = None

@@ -62,6 +62,7 @@ from cyclekit.storage.atomic import built, clean_up, locked, needs_clean_up, wri
 from cyclekit.storage.parquet import StoredTable
 from cyclekit.storage.remote.cache import cached, of_file_url
 from cyclekit.storage.remote.folders import is_url, mirrored, published
+from cyclekit.text.numbers import given
 from cyclekit.text.plain_json import finite
 
 if TYPE_CHECKING:
@@ -303,7 +304,7 @@ def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tup
 
 def _rate(rate_hz: float) -> float:
     if not 0.1 <= rate_hz <= 1000.0:
-        msg = f"a rate of {rate_hz:g} samples a second"
+        msg = f"a rate of {given(rate_hz)} samples a second"
         raise ConfigError(msg, cure="Give 0.1 to 1000; the networks of the paper have 10.")
     return rate_hz
 

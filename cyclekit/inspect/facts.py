@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.text.numbers import compact, fixed
+from cyclekit.text.numbers import fixed, given
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -271,7 +271,7 @@ class DatasetDescription(Result):
         return self.tasks
 
     def _lines(self) -> list[str]:
-        counts = f"{self.executions} executions, {self.samples} samples at {compact(self.rate_hz, 6)} Hz"
+        counts = f"{self.executions} executions, {self.samples} samples at {given(self.rate_hz)} Hz"
         return [f"{self.path}: dataset, {counts}", *(f"! {text}" for text in self.warnings)]
 
 

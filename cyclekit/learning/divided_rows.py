@@ -27,6 +27,7 @@ from cyclekit.learning.labelling import (
 from cyclekit.learning.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
 from cyclekit.learning.signal_inputs import learned_rows
 from cyclekit.learning.windows import GROUPS, Samples, build_samples, groups_seen_both_ways, split_executions
+from cyclekit.text.numbers import fixed, given
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -162,7 +163,7 @@ def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
         msg = f"{dataset.path}: only {len(rows)} of {frame.height} samples can be learned from ({why})"
         look = command_line("inspect", dataset.place)
-        raise DatasetError(msg, cure=f"At least {least} are needed, {MIN_S:g} s. See what the logs lack: {look}")
+        raise DatasetError(msg, cure=f"At least {least} are needed, {given(MIN_S)} s. See what the logs lack: {look}")
     return rows
 
 
@@ -199,7 +200,10 @@ def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Stairc
     scaling, _ = scaling_in_time(frame, dataset.rate_hz)
     staircase = staircase_of(dataset, frame)
     if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:
-        msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} everywhere, so there is nothing to learn"
+        msg = (
+            f"{dataset.path}: the speed scaling is {fixed(np.nanmax(scaling), 2)} everywhere, so there is "
+            "nothing to learn"
+        )
         raise DatasetError(msg, cure="Log executions in which the operator is near enough to slow the robot.")
     if spec.kind.needs_levels and (staircase.levels.size < 2 or not staircase.is_staircase):
         msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(texts(staircase.warnings))}"

@@ -24,6 +24,7 @@ from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import DatasetError, ShapeError, UnknownName
 from cyclekit.learning.last_second import PAST, past_inputs
 from cyclekit.scaling.levels import UNKNOWN, label_in_time, unbroken
+from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -178,7 +179,9 @@ def build_samples(
     width = round(horizon_s * rate_hz)
     if (problem == "now") != (width == 0) or horizon_s < 0:
         msg = f"problem {problem!r} with a horizon of {horizon_s} s: `now` has none, the others need one"
-        raise ShapeError(msg, cure=f"Give a horizon of at least {1 / rate_hz:g} s for ahead and average, 0 for now.")
+        raise ShapeError(
+            msg, cure=f"Give a horizon of at least {given(1 / rate_hz)} s for ahead and average, 0 for now."
+        )
     inputs = inputs_of(problem, past=past)
     X = inputs_in_plane(frame.select(pl.col(INPUTS[problem]).cast(pl.Float32)).to_numpy())
     scaling = frame["scaling"].fill_null(np.nan).to_numpy()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cyclekit.replay.phase import common_order, repetitions
+from cyclekit.text.numbers import fixed, signed
 from cyclekit.text.plain_text import markdown
 
 if TYPE_CHECKING:
@@ -40,12 +41,14 @@ def comparison(runs: Sequence[ReplayedExecution]) -> str:
     """Return the panel's text, Markdown."""
     lost = [float(run.tasks["safety_loss_s"].sum() or 0.0) for run in runs]
     quickest = min(range(len(runs)), key=lambda number: runs[number].duration_s)
-    lines = [f"## {markdown(runs[quickest].name)} is the quickest: {runs[quickest].duration_s:.1f} s", ""]
+    lines = [f"## {markdown(runs[quickest].name)} is the quickest: {fixed(runs[quickest].duration_s, 1)} s", ""]
     for number, run in enumerate(runs):
         if number != quickest:
             longer, more = run.duration_s - runs[quickest].duration_s, lost[number] - lost[quickest]
             name = markdown(run.name)
-            lines.append(f"- **{name}** took **{longer:.1f} s longer**; safety slow-down differs by {more:+.1f} s.")
+            lines.append(
+                f"- **{name}** took **{fixed(longer, 1)} s longer**; safety slow-down differs by {signed(more, 1)} s."
+            )
     keys = most_different(runs)[:MAX_ROWS]
     if not keys:
         return "\n".join([*lines, "", "The executions have no task in common."])
@@ -61,4 +64,4 @@ def comparison(runs: Sequence[ReplayedExecution]) -> str:
 
 
 def _cell(seconds: float, lost: float | None) -> str:
-    return f"{seconds:.1f}" if lost is None else f"{seconds:.1f} ({lost:.1f})"
+    return fixed(seconds, 1) if lost is None else f"{fixed(seconds, 1)} ({fixed(lost, 1)})"

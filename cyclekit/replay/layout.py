@@ -23,6 +23,7 @@ from cyclekit.replay.prediction_errors import prediction_errors
 from cyclekit.replay.scene import PAPER
 from cyclekit.replay.sink import EXECUTION, PHASE
 from cyclekit.replay.words import slowdowns
+from cyclekit.text.numbers import fixed, given
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -122,7 +123,9 @@ def opening(runs: Sequence[ReplayedExecution], order: Order, at: Focus) -> Openi
 def _span(run: ReplayedExecution, at: Focus) -> tuple[float, float] | None:
     if isinstance(at, float | int):
         if at > run.duration_s:
-            seen = f"execution {run.name} lasts {run.duration_s:.1f} s, so there is nothing to show at {at:g} s"
+            seen = (
+                f"execution {run.name} lasts {fixed(run.duration_s, 1)} s, so there is nothing to show at {given(at)} s"
+            )
             raise CyclekitError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
         return float(at), float(at)
     wrong = prediction_errors(run, 1)

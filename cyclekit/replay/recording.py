@@ -24,6 +24,7 @@ from cyclekit.replay.prediction_errors import Miss, prediction_errors
 from cyclekit.replay.scene import log_scene
 from cyclekit.replay.sink import Sink
 from cyclekit.storage.atomic import replaced
+from cyclekit.text.numbers import fixed
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ class ReplayFacts(Result):
         return [dict(vars(miss)) for miss in self.misses]
 
     def _lines(self) -> list[str]:
-        return [f"{self.path}: execution {', '.join(self.executions)}, {self.duration_s:.1f} s", *self.notes]
+        return [f"{self.path}: execution {', '.join(self.executions)}, {fixed(self.duration_s, 1)} s", *self.notes]
 
 
 @one_thread()

@@ -16,7 +16,7 @@ from cyclekit.plots import colours
 from cyclekit.plots.labels import place_labels
 from cyclekit.replay.people import floor_m, log_people
 from cyclekit.replay.shapes import goals, pack, trail
-from cyclekit.text.numbers import exact_percent, whole_percent
+from cyclekit.text.numbers import exact_percent, fixed, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -163,8 +163,8 @@ def _link(sink: Sink) -> None:
 
 def _link_label(distance_m: float, scaling: float) -> str:
     if np.isnan(scaling):
-        return f"{distance_m:.2f} m"
-    return f"{distance_m:.2f} m: robot at {whole_percent(scaling)} speed"
+        return f"{fixed(distance_m, 2)} m"
+    return f"{fixed(distance_m, 2)} m: robot at {whole_percent(scaling)} speed"
 
 
 def _path(positions: NDArray[np.float64], colour: str) -> rr.LineStrips3D:

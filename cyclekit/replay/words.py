@@ -13,7 +13,7 @@ import numpy as np
 
 from cyclekit.plots import colours
 from cyclekit.replay.prediction_errors import prediction_errors
-from cyclekit.text.numbers import whole_percent
+from cyclekit.text.numbers import fixed, whole_percent
 from cyclekit.text.plain_text import markdown
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def log_lines(run: ReplayedExecution) -> list[LogLine]:
     """Return the events of the execution, by time."""
     lines = [*_task_lines(run), *_operator_lines(run), *_slow_lines(run)]
     for start_s, end_s in run.gaps:
-        lines.append(LogLine(start_s, f"Gap in the log: no samples for {end_s - start_s:.1f} s", "WARN"))
+        lines.append(LogLine(start_s, f"Gap in the log: no samples for {fixed(end_s - start_s, 1)} s", "WARN"))
     lines.extend(LogLine(0.0, note, "WARN") for note in run.notes)
     return sorted(lines, key=lambda line: line.t_s)
 
@@ -107,7 +107,8 @@ def miss_lines(run: ReplayedExecution) -> list[LogLine]:
         doing = f" on {run.shown(miss.robot_task)}" if miss.robot_task else ""
         text = (
             f"#{rank}: logged {whole_percent(miss.logged)}, predicted {whole_percent(miss.predicted)}{doing}, "
-            f"operator {miss.distance_m:.2f} m away; off by {miss.seconds:.1f} s in {miss.end_s - miss.start_s:.1f} s"
+            f"operator {fixed(miss.distance_m, 2)} m away; off by {fixed(miss.seconds, 1)} s in "
+            f"{fixed(miss.end_s - miss.start_s, 1)} s"
         )
         lines.append(LogLine(miss.t_s, text, "WARN" if rank <= 3 else "INFO", "#e6a4ff"))
     return sorted(lines, key=lambda line: line.t_s)
@@ -118,9 +119,9 @@ def summary(run: ReplayedExecution) -> str:
     found, waits = slowdowns(run), _waits(run)
     lost_s = float(run.tasks["safety_loss_s"].sum() or 0.0) or sum(each.lost_s for each in found)
     known = bool(np.isfinite(run.scaling).any())
-    parts = [f"{lost_s:.1f} s lost to safety slow-down"] if known else []
-    parts += [f"{sum(wait.seconds for wait in waits):.1f} s wait"] if waits else []
-    head = [f"## {run.duration_s:.1f} s" + (f", of which {' and '.join(parts)}" if parts else "")]
+    parts = [f"{fixed(lost_s, 1)} s lost to safety slow-down"] if known else []
+    parts += [f"{fixed(sum(wait.seconds for wait in waits), 1)} s wait"] if waits else []
+    head = [f"## {fixed(run.duration_s, 1)} s" + (f", of which {' and '.join(parts)}" if parts else "")]
     if known and not found:
         head.append("Safety never slowed a motion of the robot.")
     if found or waits:
@@ -128,7 +129,7 @@ def summary(run: ReplayedExecution) -> str:
         worst = [each for some in (slow, waits) for each in sorted(some, key=lambda one: -one.seconds)[:SHOWN]]
         head.append("**Where the time went**")
         head += [
-            f"- **{each.seconds:.1f} s** at {_clock(each.start_s)}: {markdown(each.text)}"
+            f"- **{fixed(each.seconds, 1)} s** at {_clock(each.start_s)}: {markdown(each.text)}"
             for each in sorted(worst, key=lambda one: -one.seconds)
         ]
     head.extend(f"- *{markdown(note)}*" for note in run.notes)
@@ -177,14 +178,14 @@ def _waits(run: ReplayedExecution) -> list[_Cost]:
 def _why(run: ReplayedExecution, slow: Slowdown) -> str:
     speed = f"robot at {whole_percent(slow.lowest)} speed"
     where = f" on {run.shown(slow.robot_task)}" if slow.robot_task else ""
-    near = "" if np.isnan(slow.nearest_m) else f", operator {slow.nearest_m:.2f} m away"
+    near = "" if np.isnan(slow.nearest_m) else f", operator {fixed(slow.nearest_m, 2)} m away"
     doing = f" ({run.shown(slow.human_task)})" if slow.human_task else ""
     return f"{speed}{where}{near}{doing}"
 
 
 def _slow_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     for slow in slowdowns(run):
-        text = f"SLOWED for {slow.end_s - slow.start_s:.1f} s, {slow.lost_s:.1f} s lost: {_why(run, slow)}"
+        text = f"SLOWED for {fixed(slow.end_s - slow.start_s, 1)} s, {fixed(slow.lost_s, 1)} s lost: {_why(run, slow)}"
         yield LogLine(slow.start_s, text, "WARN", colours.scaling_hex(max(slow.lowest, 0.25)))
         yield LogLine(slow.end_s, "Full speed again", "INFO", "#5b97d8")
 
@@ -194,8 +195,10 @@ def _task_lines(run: ReplayedExecution) -> Iterator[LogLine]:
         yield LogLine(row["start_s"], f"Robot starts {run.shown(row['task'])}")
         took = row["arrival_s"] - row["start_s"]
         loss = row["safety_loss_s"]
-        lost = "" if loss is None else f", {loss:.1f} s of it slow-down" if loss >= 0.05 else ", no slow-down"
-        yield LogLine(row["arrival_s"], f"Robot arrives at {run.shown(row['goal_place'])} after {took:.1f} s{lost}")
+        lost = "" if loss is None else f", {fixed(loss, 1)} s of it slow-down" if loss >= 0.05 else ", no slow-down"
+        yield LogLine(
+            row["arrival_s"], f"Robot arrives at {run.shown(row['goal_place'])} after {fixed(took, 1)} s{lost}"
+        )
 
 
 def _operator_lines(run: ReplayedExecution) -> Iterator[LogLine]:
@@ -209,7 +212,7 @@ def _operator_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     for first, last in _stretches(unseen):
         length_s = float(run.t_s[min(last + 1, len(run.t_s) - 1)] - run.t_s[first])
         if length_s >= SHORTEST_S:
-            yield LogLine(float(run.t_s[first]), f"Operator absent or not seen for {length_s:.1f} s", "WARN")
+            yield LogLine(float(run.t_s[first]), f"Operator absent or not seen for {fixed(length_s, 1)} s", "WARN")
 
 
 def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -234,4 +237,4 @@ def _most(labels: Sequence[str | None]) -> str | None:
 
 
 def _clock(t_s: float) -> str:
-    return f"{t_s:.1f} s" if t_s < 60 else f"{int(t_s // 60)} min {t_s % 60:.0f} s"
+    return f"{fixed(t_s, 1)} s" if t_s < 60 else f"{int(t_s // 60)} min {fixed(t_s % 60, 0)} s"

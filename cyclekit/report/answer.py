@@ -16,7 +16,7 @@ from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
 from cyclekit.report.tables import ReportTable
 from cyclekit.report.tiles import tile_rows
-from cyclekit.text.numbers import UNKNOWN, compact, fixed, given, interval, percent, seconds
+from cyclekit.text.numbers import UNKNOWN, fixed, given, interval, percent, seconds
 from cyclekit.text.plain_text import shown_task
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _table(page: PageInputs, works: Mapping[Work, Sequence[CycleEstimate]]) -> R
         texts("answer.rank"),
         texts("answer.expected"),
         texts("answer.interval_head"),
-        *(texts("answer.quantile_head", level=compact(100 * level, 6)) for level in levels),
+        *(texts("answer.quantile_head", level=given(100 * level)) for level in levels),
         *([texts("answer.takt_head", takt=given(takt_s))] if takt_s is not None else []),
         texts("answer.safety_head"),
         texts("answer.support_head"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.finding import doubts_of
@@ -71,7 +70,6 @@ def to_log(page: PageInputs) -> list[ReportTable]:
     texts, plan = page.texts, page.to_log
     if plan is None:
         return []
-    said = (re.sub(r"(?<=\d)%", "\N{NO-BREAK SPACE}%", text).replace("+-", "± ") for text in plan.in_words(texts.task))
-    lacking = [f"{text[0].upper()}{text[1:]}." for text in said]
+    lacking = [f"{text[0].upper()}{text[1:]}." for text in plan.in_words(texts.task)]
     lead = texts("trust.to_log_text" if lacking else "trust.to_log_none", most=ENOUGH, within=compact(100 * WITHIN))
     return [ReportTable(title=texts("trust.to_log"), text=lead, items=lacking)]

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from cyclekit.plots import colours
 from cyclekit.plots.style import INK, MUTED, tip
 from cyclekit.report.pictures import WIDE_IN
-from cyclekit.text.numbers import compact, fixed
+from cyclekit.text.numbers import fixed, given
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -151,4 +151,4 @@ def _key(figure: Figure, axes: Axes, entries: Sequence[tuple[str, str, str]], co
 
 def _levels(estimates: Sequence[CycleEstimate]) -> tuple[str, str]:
     levels = sorted(estimates[0].quantiles_s) if estimates else []
-    return (compact(100 * levels[0], 6), compact(100 * levels[-1], 6)) if levels else ("5", "95")
+    return (given(100 * levels[0]), given(100 * levels[-1])) if levels else ("5", "95")

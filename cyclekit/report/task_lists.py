@@ -199,11 +199,11 @@ def _logged_in_words(dataset: Dataset, takt_s: float | None) -> str:
     if not cycles_s:
         return f"{listed}; no complete execution."
     times = sum(cycles_s) / len(cycles_s), min(cycles_s), max(cycles_s)
-    mean, low, high = (f"{fixed(value, 1)}\N{NO-BREAK SPACE}s" for value in times)
+    mean, low, high = (f"{fixed(value, 1)} s" for value in times)
     said = f"{count(len(cycles_s))} logged executions take {mean} on average ({low} to {high})"
     if takt_s is not None:
         within = sum(cycle_s <= takt_s for cycle_s in cycles_s) / len(cycles_s)
-        said += f", {percent(within)} of them within the takt of {given(takt_s)}\N{NO-BREAK SPACE}s"
+        said += f", {percent(within)} of them within the takt of {given(takt_s)} s"
     return f"{said}: {listed}."
 
 

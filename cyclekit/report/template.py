@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 import tomllib
 from functools import cache
 from importlib.resources import files
@@ -42,9 +43,22 @@ _WRONG = (jinja2.TemplateError, ArithmeticError, AttributeError, LookupError, Re
 """Errors that a running template can raise."""
 
 
+_SIGNS = (
+    (re.compile(r"(?<=\d) (?=(?:%|s|m|h|min)(?!\w))"), "\N{NO-BREAK SPACE}"),
+    (re.compile(r"(?<=\d) (?=\d{3}(?!\w))"), "\N{NARROW NO-BREAK SPACE}"),
+    (re.compile(r"(?<![^\s(])-(?=\d)"), "−"),
+)
+"""What a page sets better than plain text: the blank before a unit and between thousands, and the minus."""
+
+
 def _shown(value: object) -> object:
-    """Escape control and bidirectional characters; jinja itself escapes HTML."""
-    return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+    """Escape control and bidirectional characters, and set numbers; jinja itself escapes HTML."""
+    if not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    text = visible(value)
+    for plain, better in _SIGNS:
+        text = plain.sub(better, text)
+    return text
 
 
 def _own(name: str) -> str | None:

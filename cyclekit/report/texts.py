@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-_UNIT = re.compile(r"(?<=\d) (?=(?:%|s|m|h|min)(?![\w]))")
-"""The space between a number and its unit; becomes a no-break space."""
 _TWO_ENDS = re.compile(r"(?<!\.)\.\.(?!\.)")
 """Two full stops: a sentence, such as the message of an error, at the end of another one."""
 
@@ -42,8 +40,7 @@ class ReportTexts:
             KeyError: The text does not exist, or a value that it needs was not given.
         """
         section, _, name = key.partition(".")
-        text = _TWO_ENDS.sub(".", self.sections[section][name].format(**values))
-        return _UNIT.sub("\N{NO-BREAK SPACE}", text)
+        return _TWO_ENDS.sub(".", self.sections[section][name].format(**values))
 
     def with_changes(self, changes: Mapping[str, Any]) -> ReportTexts:
         """Return the texts with some of them replaced; `language` may be among the changes.

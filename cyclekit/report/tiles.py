@@ -82,4 +82,4 @@ def _share(texts: ReportTexts, within: tuple[float, float, float] | None) -> str
     if within is None:
         return ""
     share, low, high = map(percent, within)
-    return texts("tiles.within", share=share, low=low.partition("\N{NO-BREAK SPACE}")[0], high=high)
+    return texts("tiles.within", share=share, low=low.partition(" ")[0], high=high)

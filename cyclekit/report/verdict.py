@@ -230,7 +230,7 @@ def _within(texts: ReportTexts, key: str, within: tuple[float, float, float] | N
     if within is None or takt_s is None:
         return ""
     share, low, high = map(percent, within)
-    return texts(key, share=share, takt=given(takt_s), low=low.partition("\N{NO-BREAK SPACE}")[0], high=high)
+    return texts(key, share=share, takt=given(takt_s), low=low.partition(" ")[0], high=high)
 
 
 def _found(texts: ReportTexts, found: TaktVerdict) -> str:

@@ -1,5 +1,7 @@
 """Numbers as text for tables, sentences, pictures and the page: only this module rounds what people read.
 
+The text is plain: blanks that break, a hyphen as the minus. The page sets it (`report.template`), nothing else does.
+
 Durations show two decimals below 10 s, one below 1000 s and none above. Durations that stand beside each other show the
 decimals of the longest (`decimals_of`), and a difference is that of the numbers shown (`difference`). A minus never
 stands before a zero, an interval never has two equal ends, and what is unknown is a dash.
@@ -8,11 +10,10 @@ stands before a zero, an interval never has two equal ends, and what is unknown 
 from __future__ import annotations
 
 import math
+import re
 
 UNKNOWN = "–"
-_MINUS, _SPACE = "−", "\N{NO-BREAK SPACE}"
-FOR_TERMINALS = str.maketrans({_MINUS: "-", _SPACE: " ", "\N{NARROW NO-BREAK SPACE}": " "})
-"""For `str.translate`: the signs of this module as those that every terminal has, and `grep` finds."""
+_SPEC = re.compile(r"(\+?)\.(\d)([fg%])")
 
 
 def decimals_of(*values_s: float | None) -> int:
@@ -26,11 +27,11 @@ def fixed(value: float | None, decimals: int) -> str:
     if value is None or not math.isfinite(value):
         return UNKNOWN
     rounded = round(float(value), decimals)
-    return (_MINUS if rounded < 0 else "") + f"{abs(rounded):.{max(decimals, 0)}f}"
+    return ("-" if rounded < 0 else "") + f"{abs(rounded):.{max(decimals, 0)}f}"
 
 
 def signed(value: float | None, decimals: int) -> str:
-    """Write a difference with its sign: +0.3, −0.3, 0.0."""
+    """Write a difference with its sign: +0.3, -0.3, 0.0."""
     text = fixed(value, decimals)
     return f"+{text}" if value is not None and value > 0 and text.strip(f"0.{UNKNOWN}") else text
 
@@ -51,8 +52,8 @@ def compact(value: float | None, digits: int = 4) -> str:
 
 
 def given(value: float) -> str:
-    """Write a number that somebody chose, without trailing zeros: 95, 27.5; at most two decimals."""
-    return fixed(value, next((n for n in (0, 1) if round(value, n) == round(value, 2)), 2))
+    """Write a number that somebody chose, without trailing zeros: 95, 27.5, 1e-05 as 0.00001; at most six digits."""
+    return compact(value, 6)
 
 
 def scientific(value: float | None, decimals: int = 2) -> str:
@@ -66,7 +67,7 @@ def error_text(value: float | None) -> str:
         return significant(value)
     mantissa, exponent = f"{value:.2e}".split("e")
     power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"{mantissa.replace('-', _MINUS)} · 10{power}"
+    return f"{mantissa} · 10{power}"
 
 
 def difference(first: float, second: float, decimals: int) -> float:
@@ -77,7 +78,7 @@ def difference(first: float, second: float, decimals: int) -> float:
 def seconds(value: float | None, *beside: float | None) -> str:
     """Write a duration with its unit, and with the decimals of those that it stands beside."""
     text = fixed(value, decimals_of(value, *beside))
-    return text if text == UNKNOWN else f"{text}{_SPACE}s"
+    return text if text == UNKNOWN else f"{text} s"
 
 
 def span(low: float | None, high: float | None, decimals: int) -> str:
@@ -114,14 +115,14 @@ def percent(fraction: float | None, decimals: int | None = None) -> str:
         text = f"over {fixed(100 - least, digits)}"
     if share > 0 and text == fixed(0, digits):
         text = f"under {fixed(least, digits)}"
-    return f"{text}{_SPACE}%"
+    return f"{text} %"
 
 
 def signed_percent(fraction: float, decimals: int | None = None) -> str:
     """Write a difference in per cent with its sign; by default whole ones, and one decimal below 1 %."""
     share = 100 * fraction
     digits = (0 if abs(share) >= 0.95 else 1) if decimals is None else decimals
-    return f"{signed(share, digits)}{_SPACE}%"
+    return f"{signed(share, digits)} %"
 
 
 def whole_percent(part: float) -> str:
@@ -135,8 +136,8 @@ def exact_percent(part: float, digits: int = 4) -> str:
 
 
 def count(number: int) -> str:
-    """Write a whole number with narrow no-break spaces between thousands."""
-    return f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+    """Write a whole number with blanks between thousands."""
+    return f"{number:,}".replace(",", " ")
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
@@ -155,3 +156,21 @@ def duration(value_s: float) -> str:
 def megabytes(size: int) -> str:
     """Write the size of a file: `12 kB`, `1.4 MB`."""
     return f"{fixed(size / 1e6, 1)} MB" if size >= 1_000_000 else f"{max(1, round(size / 1e3))} kB"
+
+
+def by_spec(value: float, spec: str) -> str:
+    """Write a number as a format specification asks: `.1f`, `+.2f`, `.0%`, `.3g`; the sentences of notes hold them.
+
+    Raises:
+        ValueError: The specification is none of these.
+    """
+    found = _SPEC.fullmatch(spec)
+    if found is None:
+        msg = f"{spec!r} is no format of a number"
+        raise ValueError(msg)
+    sign, digits, kind = found[1], int(found[2]), found[3]
+    if kind == "g":
+        return compact(value, digits)
+    if kind == "%":
+        return (signed_percent if sign else percent)(value, digits or None)
+    return (signed if sign else fixed)(value, digits)

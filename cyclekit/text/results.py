@@ -9,6 +9,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, cast
 
+from cyclekit.text.numbers import compact
 from cyclekit.text.plain_json import plain_values
 from cyclekit.text.plain_text import one_line
 
@@ -68,4 +69,4 @@ def html_table(title: str, frame: pl.DataFrame) -> str:
 def _cell(value: object) -> str:
     if value is None:
         return ""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return compact(value, 4) if isinstance(value, float) else str(value)

@@ -346,7 +346,7 @@ def test_the_gate_tells_its_verdict_by_the_exit_code(begun: Path, sequences: Pat
     assert {one["level"] for one in unknown.document["findings"]} >= {"amber"}
     failed = cyclekit("gate", sequences, "--no-check", "--quiet", "--takt", "1s", "--sequence", "one way")
     assert failed.code == 1
-    assert failed.out.startswith("failed: 0.0% of the cycles of 'one way' are within 1 s")
+    assert failed.out.startswith("failed: 0.0 % of the cycles of 'one way' are within 1 s")
     old = cyclekit("gate", sequences, "--takt", "1h", "--confidence", "0.9")
     assert old.code == 2
     assert "--share" in old.err

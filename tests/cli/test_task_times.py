@@ -98,3 +98,20 @@ def test_options_that_a_model_of_task_times_cannot_honour_are_refused(cyclekit, 
         assert done.code == 1, name
         refused = "validate, other_cell" if name == "plan" else "extrapolate, validate, other_cell"
         assert f"error: {refused}: not for a model of task times" in done.err, done.err
+
+
+@pytest.mark.usefixtures("words_only")
+def test_the_gate_ends_with_0_1_or_2(cyclekit, listed: Path, tmp_path: Path) -> None:
+    plan, words = tmp_path / "plan.toml", ("--dataset", listed / "dataset", "--share", "0.5", "--confidence", "0.9")
+    order = (("robot", "bring"), ("robot", "weld"), ("operator", "mount"))
+    tasks = (f'[[sequence.task]]\nagent = "{agent}"\nname = "{name}"\n' for agent, name in order)
+    plan.write_text('[[sequence]]\nname = "A"\n' + "".join(tasks), encoding="utf-8")
+    estimated = cyclekit("estimate", listed / "model", plan, "--dataset", listed / "dataset", "--json").document
+    (entry,) = estimated["sequences"]
+    low_s, middle_s, high_s = entry["quantiles_s"].values()
+    for takt_s, code, answer in ((high_s, 0, "passed"), (low_s, 1, "failed"), (middle_s, 2, "unknown")):
+        typed = cyclekit("gate", listed / "model", plan, "--takt", f"{takt_s}s", *words)
+        assert (typed.code, typed.out.partition(":")[0]) == (code, answer), typed.out + typed.err
+        assert ("log more executions" in typed.out) is (code == 2)
+        document = cyclekit("gate", listed / "model", plan, "--takt", f"{takt_s}s", *words, "--json").document
+        assert (document["answer"], document["passed"], bool(document["why"])) == (answer, code == 0, code == 2)

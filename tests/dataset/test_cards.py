@@ -152,7 +152,7 @@ def test_a_real_card_with_any_value_in_any_place_is_a_card_or_one_sentence(boxes
 def test_a_table_with_more_rows_than_the_card_says_is_refused_before_it_is_read(copied: Path, name: str):
     one = pl.read_parquet(file := copied / name).clear(1)
     one.select(pl.all().repeat_by(30_000).explode()).write_parquet(file)
-    with pytest.raises(DatasetError, match=r"holds 30,000 rows, but dataset\.json states "):
+    with pytest.raises(DatasetError, match=r"holds 30 000 rows, but dataset\.json states "):
         Dataset.open(copied)
 
 

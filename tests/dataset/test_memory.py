@@ -17,6 +17,7 @@ from cyclekit.dataset import checksums
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError
 from cyclekit.storage import memory
+from cyclekit.text.numbers import count
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,7 +58,7 @@ main()
 def test_more_samples_than_memory_takes_are_one_message_and_no_abort(forged: Path):
     ended = subprocess.run([sys.executable, "-c", _LIMITED, str(forged)], capture_output=True, text=True, check=False)
     assert ended.returncode == 1, ended.stderr[-500:]
-    assert ended.stderr.startswith(f"error: {forged / 'samples'}: 8,0")
+    assert ended.stderr.startswith(f"error: {forged / 'samples'}: 8 0")
     assert "of memory, and this process may take 0." in ended.stderr
     assert "Ingest fewer logs into one dataset" in ended.stderr
 
@@ -65,7 +66,7 @@ def test_more_samples_than_memory_takes_are_one_message_and_no_abort(forged: Pat
 @pytest.mark.parametrize("read", [lambda d: d.samples(), lambda d: d.samples(d.executions["execution"].to_list()[:1])])
 def test_all_samples_and_one_long_execution_are_measured(forged: Path, read, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("cyclekit.dataset.files.memory_limit_bytes", lambda: 1_000_000_000)
-    with pytest.raises(DatasetError, match=r"8,000,\d+ rows of \d+ columns need \d.\d GB of memory"):
+    with pytest.raises(DatasetError, match=r"8 000 \d+ rows of \d+ columns need \d.\d GB of memory"):
         read(Dataset.open(forged))
 
 
@@ -103,14 +104,14 @@ def test_a_recording_with_more_rows_than_the_card_says_is_refused(tmp_path: Path
     rows = pl.read_parquet(file)
     pl.concat([rows, rows]).write_parquet(file)
     with pytest.raises(
-        DatasetError, match=rf"holds {2 * rows.height:,} rows, but dataset\.json states {rows.height:,}"
+        DatasetError, match=rf"holds {count(2 * rows.height)} rows, but dataset\.json states {count(rows.height)}"
     ):
         read(dataset, record)
 
 
 def test_the_least_of_the_limits_counts(monkeypatch: pytest.MonkeyPatch):
-    for name, count in {"_machine": 8_000, "_container": None, "_process": 3_000}.items():
-        monkeypatch.setattr(memory, name, lambda count=count: count)
+    for name, most in {"_machine": 8_000, "_container": None, "_process": 3_000}.items():
+        monkeypatch.setattr(memory, name, lambda most=most: most)
     assert memory.memory_limit_bytes() == 3_000
 
 

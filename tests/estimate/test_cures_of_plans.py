@@ -121,7 +121,7 @@ def test_every_wait_in_the_table_of_a_plan_has_its_cause(logged: Dataset) -> Non
     shares = tuple(PlannedShare("robot", "robot", name, 0.0, 1.0, wait, decided) for name, wait, decided in rows)
     object.__setattr__(entry, "plan", shares)
     short, none = (line for line in plan_table(entry).splitlines() if line.startswith("robot"))
-    assert short.endswith("operator: fixture (30\N{NO-BREAK SPACE}%)")
+    assert short.endswith("operator: fixture (30 %)")
     assert none.endswith("-")
 
 

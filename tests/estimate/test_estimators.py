@@ -194,7 +194,7 @@ def test_what_was_never_logged_is_a_doubt_that_says_what_the_interval_leaves_out
     def support_of(share: float) -> Finding:
         return findings_of(staircase, None, logged, executions=40, support=share)[-1]
 
-    assert "30% of the cycle" in support_of(0.7).text
+    assert "30 % of the cycle" in support_of(0.7).text
     assert "not in the interval of the mean" in support_of(0.7).text
     assert (support_of(0.7).level, support_of(0.7).blocks) == ("amber", False)
     assert support_of(0.4).text.startswith("EXTRAPOLATED")

@@ -18,6 +18,7 @@ from cyclekit.estimate.statistics.resample import resampled, resampled_alike
 from cyclekit.estimate.validation.history import TaskTimes, chance_of_logs, history_share, order_error
 from cyclekit.estimate.validation.logged import logged_sequences
 from cyclekit.estimate.whatif import Change, what_if
+from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
@@ -105,7 +106,7 @@ def test_the_number_lies_between_both_and_says_so(logged: Dataset, staircase: An
     assert found.expected_low_s < found.expected_s < found.expected_high_s
     assert found.to_dict()["combined"]["history_share"] == both.history_share
     told = " ".join(basis_and_limits([found]).split())
-    assert f"{both.history_share:.0%} with the logged durations of the same tasks" in told
+    assert f"{percent(both.history_share)} with the logged durations of the same tasks" in told
 
 
 def test_a_model_in_doubt_leaves_more_to_history(logged: Dataset, staircase: Any, check: Check, order: TaskSequence):

@@ -121,8 +121,8 @@ def test_an_estimate_says_which_part_of_the_cycles_it_leaves_out_and_of_many_the
     mine = GateCard(agent="robot", at="leave", place="conveyor", own_s=(OWN_S,), conditions=(AFTER_INBOUND,))
     asked = {"validate": False, "extrapolate": True}
     (found,) = estimate(Coupled(gates(circle(0.01), mine)), logged, [both(("inbound", "rest"))], **asked)
-    assert any("1.0% of the cycles are left out: they end in a deadlock" in said for said in found.doubts)
-    with pytest.raises(EstimateError, match=r"'both': deadlock in 2\.0% of the cycles: robot waits") as caught:
+    assert any("1.0 % of the cycles are left out: they end in a deadlock" in said for said in found.doubts)
+    with pytest.raises(EstimateError, match=r"'both': deadlock in 2\.0 % of the cycles: robot waits") as caught:
         estimate(Coupled(gates(circle(0.02), mine)), logged, [both(("inbound", "rest"))], **asked)
     assert "learned from the logs are wrong for this order" in caught.value.cure
     (whole,) = estimate(Coupled(gates(mine)), logged, [both(("inbound", "rest"))], **asked)

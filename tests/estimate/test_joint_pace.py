@@ -109,7 +109,7 @@ def test_the_answer_names_the_change_and_its_interval_has_the_doubt_about_the_la
             super().__init__()
             self.card = TrainingCard(coupling=card)
 
-    said = "the operator became 39% quicker over"
+    said = "the operator became 39 % quicker over"
     entries = []
     for error in (0.0, 0.2):
         card = card_of(logged, error)

@@ -142,7 +142,7 @@ BIASED = Check(40, 8, 0.2, 0.01, 0.2, 0.0, (0.0,) * 40, 0.9, None, (0.05, 0.95))
 
 
 def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_the_numbers():
-    with pytest.raises(ModelError, match=r"\+20.0% .* on 40 logged executions") as caught:
+    with pytest.raises(ModelError, match=r"\+20.0 % .* on 40 logged executions") as caught:
         refuse_biased(BIASED)
     assert "--other-cell" in str(caught.value.cure)
     assert "Train it on them" in str(caught.value.cure)
@@ -159,7 +159,7 @@ def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_
     refuse_biased(replace(BIASED, own_error=0.07))  # chance
     warned = replace(BIASED, own_bias=0.05)
     refuse_biased(warned)
-    assert "+5.0%" in of_bias(warned).text
+    assert "+5.0 %" in of_bias(warned).text
     levels = [
         of_bias(replace(warned, **off)).level
         for off in ({}, {"own_error": 0.02}, {"own_bias": 0.02, "own_error": 0.005})

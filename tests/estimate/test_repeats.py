@@ -32,7 +32,7 @@ def test_the_interval_covers_the_order_with_and_without_repetitions() -> None:
     assert found.expected_low_s == entry.expected_low_s
     assert found.expected_high_s == pytest.approx(entry.expected_high_s + 0.3)
     assert found.quantiles_s[0.95] == pytest.approx(entry.quantiles_s[0.95] + 0.3)
-    assert found.findings[0].text == "the logs repeat `left` 10 times in 100 visits; this order has none: +1.0%"
+    assert found.findings[0].text == "the logs repeat `left` 10 times in 100 visits; this order has none: +1.0 %"
     assert not found.findings[0].blocks  # the interval covers it
 
 

@@ -216,7 +216,7 @@ def test_logs_without_an_operator_are_refused(logged: Dataset, staircase: Any, r
 def test_an_operator_who_never_lets_the_robot_go_on_is_told_and_not_waited_for(
     logged: Dataset, constant: Any, routes: Any
 ):
-    with pytest.raises(EstimateError, match="100% of the cycles do not end within"):
+    with pytest.raises(EstimateError, match="100 % of the cycles do not end within"):
         estimate(constant(0.0), logged, [TaskSequence("A", routes[0][:3])])
 
 
@@ -267,7 +267,7 @@ def test_a_sequence_through_positions_never_logged_is_refused_unless_asked_for(
     elsewhere: Dataset, staircase: Any, routes: Any
 ):
     sequence = TaskSequence("A", routes[0][:5])
-    with pytest.raises(EstimateError, match="only 0% of it runs through logged positions"):
+    with pytest.raises(EstimateError, match="only 0 % of it runs through logged positions"):
         estimate(staircase, elsewhere, [sequence])
     (found,) = estimate(staircase, elsewhere, [sequence], extrapolate=True)
     assert found.support == 0.0

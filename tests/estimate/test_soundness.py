@@ -113,6 +113,6 @@ def test_the_bias_that_is_told_says_how_every_duration_is_corrected() -> None:
     check = Check(40, 8, 0.02, 0.001, 0.02, 0.0, tuple(np.full(40, 0.02)), 0.9, None, (0.05, 0.95))
     (found,) = [one for one in check.findings if one.code == "bias"]
     assert found.level == "amber"
-    assert "every duration is corrected by -2.0%" in found.text
+    assert "every duration is corrected by -2.0 %" in found.text
     assert "cyclekit inspect" in found.cure
     assert [one.level for one in replace(check, own_bias=0.05).findings if one.code == "bias"] == ["red"]

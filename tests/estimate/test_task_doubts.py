@@ -83,4 +83,4 @@ def test_a_model_far_off_on_held_out_orders_is_doubted(learned) -> None:
     judged = structs.replace(model.card.held_out, bias=0.65)
     off = TaskTimesModel(structs.replace(model.card, held_out=judged))
     (answer,) = estimate_cycles(off, folder / "dataset", plan("pick", "place", "offer", "take"))
-    assert "held-out orders were +65% off on average" in answer.doubts[0]
+    assert "held-out orders were +65 % off on average" in answer.doubts[0]

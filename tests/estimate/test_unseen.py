@@ -123,7 +123,7 @@ def test_an_effect_of_the_places_before_has_half_of_the_weight(
     assert other.expected_s == pytest.approx(before["1"].expected_s)
     assert found.expected_s == pytest.approx(1.1 * before["0"].expected_s)
     assert np.array(found.durations_s) == pytest.approx(1.1 * np.array(before["0"].durations_s))
-    assert "weighted 50% with the logged durations of the same tasks after the places before them" in found.why
+    assert "weighted 50 % with the logged durations of the same tasks after the places before them" in found.why
     wide, narrow = (one.expected_high_s - one.expected_low_s for one in (found, before["0"]))
     assert wide > 1.15 * narrow
 

@@ -147,7 +147,7 @@ def test_visits_that_follow_a_place_have_half_of_the_weight(
     assert found.combined.visits_after == order.places[1]
     assert found.combined.history_s > found.combined.rollout_s
     assert found.expected_s == pytest.approx((found.combined.history_s + found.combined.rollout_s) / 2)
-    assert "weighted 50% with the visits of people that follow" in found.why
+    assert "weighted 50 % with the visits of people that follow" in found.why
     assert found.expected_high_s - found.expected_low_s > before.expected_high_s - before.expected_low_s
     (alone,) = estimate(model, dataset, [order], other_cell=True, validate=False)
     assert alone.combined is None

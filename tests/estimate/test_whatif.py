@@ -318,7 +318,7 @@ def test_how_often_he_is_away_is_read_from_all_of_a_circle_and_not_from_the_ends
 
 def test_an_operator_who_is_always_there_cannot_come_more_often(logged: Dataset, staircase: Any):
     tasks = nominal_tasks(logged)
-    with pytest.raises(EstimateError, match="away 0% of the time"):
+    with pytest.raises(EstimateError, match="away 0 % of the time"):
         altered_tracks(Change("more", frequency=2.0), tracks_of([True] * 50), tasks, staircase)
     with pytest.raises(EstimateError) as caught:
         altered_tracks(Change("more", frequency=9.0), tracks_of([True, False] * 50), tasks, staircase)

@@ -21,8 +21,8 @@ def errors(mae: float, mse: float, constant: float | None = None) -> MetricsCard
     ("mae", "mse", "levels", "said"),
     [
         (0.148, 0.03, FIVE, "more than half a step between its levels (0.125)"),
-        (0.148, 0.05, (0.0, 1.0), "36% of the variance of the speed scaling unexplained"),
-        (0.09, 0.05, (), "36% of the variance"),
+        (0.148, 0.05, (0.0, 1.0), "36 % of the variance of the speed scaling unexplained"),
+        (0.09, 0.05, (), "36 % of the variance"),
         (0.0056, 8e-4, FIVE, ""),
         (0.10, 0.03, FIVE, ""),
     ],

@@ -20,6 +20,7 @@ from played import (
     classifier,
     linked,
     network,
+    repeated,
     staircase,
     zoned,
 )
@@ -31,7 +32,7 @@ from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif import what_if
 from cyclekit.report import compose_report
 
-__all__ = ["logged"]
+__all__ = ["logged", "repeated"]
 
 pytestmark = [
     pytest.mark.slow,
@@ -103,6 +104,19 @@ def test_orders_and_changes_have_the_numbers_of_the_library(tab, cell):
             same(tab.ask(f"cyclekitPlay.answer({places}, {told(asked)}, null)"), changed[each.name, change.name])
     assert tab.said() == []
     assert set(tab.requests()) == {page.resolve().as_uri()}
+
+
+@pytest.mark.usefixtures("repeated")
+def test_orders_that_lack_repeated_visits_have_the_numbers_of_the_library(tab, logged, tmp_path):
+    data, page = Dataset.open(logged.path), tmp_path / "page.html"
+    given = estimate(staircase(), data, ORDERS, takt_s=TAKT_S, other_cell=True)
+    assert all(any(one.code == "repeats" for one in each.findings) for each in given)
+    longest = max(given, key=lambda each: each.nominal_s)
+    compose_report(data, staircase(), page, estimates=[longest], check=longest.check, takt_s=TAKT_S)
+    tab.show(page)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    for each in given:
+        same(tab.ask(f"cyclekitPlay.answer({json.dumps(list(each.places))}, {{}}, {TAKT_S})"), each)
 
 
 @pytest.fixture(scope="module")

@@ -197,3 +197,15 @@ def test_plans_of_an_operator_who_becomes_quicker_have_the_numbers_of_the_librar
     assert model.card.pace["human"].error > 0.003
     tasks = [PlannedTask("arm", "weld"), PlannedTask("human", "pack")]
     plans_are_the_same(tab, tmp_path, model, [TaskSequence.of_plan("both", tasks)], within=2e-4)
+
+
+def test_plans_that_lack_repeated_tasks_have_the_numbers_of_the_library(tab, tmp_path):
+    rows = [
+        (run, "arm", name, 100.0 * run + 2.0 * at, 100.0 * run + 2.0 * at + 1.5 + 0.02 * (run % 7))
+        for run in range(20)
+        for at, name in enumerate("ppq" if run % 5 == 0 else "pq")
+    ]
+    model = model_of(rows, tmp_path)
+    assert any(task.again for task in model.card.tasks)
+    orders = [TaskSequence.of_plan(order, [PlannedTask("arm", name) for name in order]) for order in ("pq", "ppq")]
+    plans_are_the_same(tab, tmp_path, model, orders)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from known_cells import logged
 from msgspec import structs
-from played import STAIRS, ask, both, network, same, some_deadlocks_are_left_out, staircase
+from played import STAIRS, ask, both, network, repeated, same, some_deadlocks_are_left_out, staircase
 
 from cyclekit import TaskSequence, estimate_cycles, train_task_times, what_if, write_report
 from cyclekit.config.sequences import PlannedTask, load_sequences
@@ -25,7 +25,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.report import compose_report
 from cyclekit_sim.task_lists import ListOptions, random_order, simulate_task_lists
 
-__all__ = ["logged", "some_deadlocks_are_left_out"]
+__all__ = ["logged", "repeated", "some_deadlocks_are_left_out"]
 
 pytestmark = [
     pytest.mark.slow,
@@ -334,3 +334,16 @@ def test_the_part_fits_its_window_and_axe_finds_nothing(tab, lists, cell, width)
         found = tab.ask("axe.run('#play', {resultTypes: ['violations']}).then(r => JSON.stringify("
                         "r.violations.map(v => [v.id, v.nodes[0].html.slice(0, 200)])))")  # fmt: skip
         assert json.loads(found) == []
+
+
+@pytest.mark.usefixtures("repeated")
+def test_an_order_that_lacks_repeated_visits_has_the_numbers_of_the_library(tab, logged, tmp_path):
+    data, model = Dataset.open(logged.path), replace(staircase(), card=TrainingCard(coupling=CARD))
+    asked = {"takt_s": TAKT_S, "other_cell": True, "extrapolate": True}
+    (given,) = estimate(model, data, [TaskSequence("places", ROBOT, OPERATOR)], **asked)
+    assert any(one.code == "repeats" for one in given.findings)
+    page = tmp_path / "page.html"
+    compose_report(data, model, page, estimates=[given], check=given.check, takt_s=TAKT_S)
+    tab.show(page)
+    tab.ask("cyclekitPlay.ready.then(() => 1)")
+    same(ask(tab, {"robot": ROBOT, "operator": OPERATOR, "both": False}, {}, TAKT_S), given)

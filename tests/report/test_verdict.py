@@ -58,8 +58,8 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     found = document(logged, tmp_path, takt_s=30.5, **given)
     said = (
         "Today 31.0 s (mean of 4 logged executions), 50 % of cycles within the takt of 30.5 s (95 % CI 15 to 85 %). "
-        "The order found takes 25.0 s, saving 6.0 s (−19 %), 100 % of cycles within the takt (95 % CI 96 to 100 %); "
-        "with “smaller zone” 20.0 s, saving 11.0 s (−35 %), 100 % of cycles within the takt (95 % CI 70 to 100 %)."
+        "The order found takes 25.0 s, saving 6.0 s (-19 %), 100 % of cycles within the takt (95 % CI 96 to 100 %); "
+        "with “smaller zone” 20.0 s, saving 11.0 s (-35 %), 100 % of cycles within the takt (95 % CI 70 to 100 %)."
     )
     assert found["answer"] == said
     assert found["verdict"]["text"] == said
@@ -259,7 +259,7 @@ def test_each_kind_of_work_is_answered_with_at_most_three_numbers(logged, tmp_pa
     asked = [estimate("turned", 20.0, places=TURNED), estimate("four", 41.0, places=LONG)]
     asked.append(estimate("order found", 15.0, places=(*ROUTE[:2], "c", "home")))
     found = document(logged, tmp_path, estimates=asked)
-    assert "“turned” takes 20.0 s on average, saving 11.0 s (−35 %)." in found["answer"]
+    assert "“turned” takes 20.0 s on average, saving 11.0 s (-35 %)." in found["answer"]
     assert "“four” takes 41.0 s on average." in found["answer"]
     assert "“order found” takes 15.0 s on average." in found["answer"]
     assert found["works"][0] == found["verdict"]

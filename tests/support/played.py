@@ -21,6 +21,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.whatif.change import Change, LimitChange
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.networks.weights import Weights
+from cyclekit.learning.repeats import Repeated
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
@@ -199,6 +200,14 @@ def same(found: dict[str, Any], wanted: CycleEstimate, *, within: float = 2e-3) 
     assert [task[0] for task in mine] == [task[0] for task in theirs]
     for one, other in zip(mine, theirs, strict=True):
         assert one[1:] == pytest.approx(other[1:], abs=2 * within * wanted.expected_s)
+
+
+@pytest.fixture
+def repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The logs of a cell repeat visits of the conveyor."""
+    found = [Repeated("robot", "conveyor", 40, 12, took_s=4.0), Repeated("robot", "nowhere", 9, 9, took_s=9.0)]
+    for module in ("cyclekit.estimate.rollout", "cyclekit.report.play.tables"):
+        monkeypatch.setattr(f"{module}.robot_repeats", lambda _: found)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -15,6 +15,7 @@ import numpy as np
 from cyclekit.alignment.clocks.fit import ClockFit
 from cyclekit.dataset.cards import Note, note
 from cyclekit.errors import ConfigError
+from cyclekit.text.numbers import fixed, given
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,12 +64,12 @@ def fit_motion(log_s: Vector, log_m: Points, robot_s: Vector, robot_m: Points) -
             fit = replace(again, rate=again.rate * rate, offset_s=again.offset_s + again.rate * first * (1 - rate))
     if fit is None:
         raise ConfigError(
-            f"the body moves in both logs at the same time for less than {MIN_S:g} s",
+            f"the body moves in both logs at the same time for less than {given(MIN_S)} s",
             cure="Check that sees_as names the body on the flange, and that both logs are of one run.",
         )
     if (fit.correlation or 0.0) < TOO_WEAK:
         raise ConfigError(
-            f"the speeds of the two logs never agree (correlation {fit.correlation:.2f} at best)",
+            f"the speeds of the two logs never agree (correlation {fixed(fit.correlation, 2)} at best)",
             cure="Check that sees_as names the body on the flange, and that both logs are of one run.",
         )
     return fit

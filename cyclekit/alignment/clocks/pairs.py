@@ -14,6 +14,7 @@ import numpy as np
 from cyclekit.alignment.clocks.fit import ClockFit
 from cyclekit.dataset.cards import Note, note
 from cyclekit.errors import ConfigError
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
@@ -144,7 +145,7 @@ def _fit(line: tuple[float, float, float], x: Vector, y: Vector, *, rejected: in
     offset, rate, about = line
     if abs(rate - 1.0) > DRIFT:
         raise ConfigError(
-            f"the events give a clock rate of {rate:.4f} s of the robot log per second of this log",
+            f"the events give a clock rate of {fixed(rate, 4)} s of the robot log per second of this log",
             cure="Check that both times are seconds, and that each pair is one event.",
         )
     free = len(x) - (2 if rate != 1.0 else 1)

@@ -16,6 +16,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Lag, Name
+from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -308,7 +309,7 @@ class OperatorPaceCard(Card, frozen=True, kw_only=True):
         """The trend as a sentence."""
         how = "quicker" if self.quicker > 0 else "slower"
         return (
-            f"the operator became {abs(self.quicker):.0%} {how} over {len(self.executions)} executions; "
+            f"the operator became {percent(abs(self.quicker))} {how} over {len(self.executions)} executions; "
             "the estimate is for his pace in the last of them"
         )
 

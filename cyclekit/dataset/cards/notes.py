@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from msgspec import field
 
 from cyclekit.dataset.cards.quantities import Card
+from cyclekit.text.numbers import by_spec, fixed, percent, signed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -81,7 +82,7 @@ class _Format(string.Formatter):
     """Formatter of values; a text stays unchanged in place of a number, as pseudonymising removes numbers."""
 
     def format_field(self, value: object, format_spec: str) -> str:
-        return str(value) if isinstance(value, str) else str(format(value, format_spec))
+        return by_spec(value, format_spec) if format_spec and isinstance(value, int | float) else str(value)
 
 
 _FORMAT = _Format()
@@ -117,13 +118,13 @@ def _overrides(values: Mapping[str, Value]) -> str:
 def _override(values: Mapping[str, Value], conclusion: str) -> str:
     """Return what was seen of a set override, and what follows."""
     turns, hours, sliders = values["turns"], float(values["hours"]), values["sliders"]
-    share = f", of which what else was logged explains {values['share']:.0%}" if "share" in values else ""
+    share = f", of which what else was logged explains {percent(float(values['share']))}" if "share" in values else ""
     hand = f", times a slider that a hand set ({sliders})" if sliders else ""
-    return f"the set override (speed slider) changed {turns} times in {hours:.1f} h{share}: {conclusion}{hand}"
+    return f"the set override (speed slider) changed {turns} times in {fixed(hours, 1)} h{share}: {conclusion}{hand}"
 
 
 def _later(values: Mapping[str, Value]) -> str:
-    first, last = (f"{values[name]:+.2f}" for name in ("earliest_s", "latest_s"))
+    first, last = (signed(float(values[name]), 2) for name in ("earliest_s", "latest_s"))
     return f"{first if first == last else f'{first} to {last}'} s after it was logged"
 
 
@@ -284,12 +285,13 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "(set_override in cell.toml says which, if you know)",
     ),
     "scaling-of-safety-log": lambda values: (
-        f"{_overrides(values)} taken for the robot's speed scaling: its motion agrees to {values['error']:.3f} "
-        f"(median), {_later(values)}"
+        f"{_overrides(values)} taken for the robot's speed scaling: its motion agrees to "
+        f"{fixed(float(values['error']), 3)} (median), {_later(values)}"
     ),
     "override-not-followed": lambda values: (
-        f"{_overrides(values)} not taken for the robot's speed scaling: its motion differs by {values['error']:.3f} "
-        f"(median), at best {_later(values)}; if the clocks are farther apart, give clock_offset_s or sync in cell.toml"
+        f"{_overrides(values)} not taken for the robot's speed scaling: its motion differs by "
+        f"{fixed(float(values['error']), 3)} (median), at best {_later(values)}; if the clocks are farther apart, "
+        "give clock_offset_s or sync in cell.toml"
     ),
     "override-not-compared": lambda values: (
         f"{_overrides(values)} not taken for the robot's speed scaling: too little motion to compare them"

@@ -10,6 +10,7 @@ from msgspec import Meta, field
 from cyclekit.dataset.cards.coupling import refuse_circles
 from cyclekit.dataset.cards.notes import Note
 from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Lag, Name, Seconds, Work
+from cyclekit.text.numbers import fixed, percent
 
 if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
@@ -81,7 +82,7 @@ class PartsCard(Card, frozen=True, kw_only=True):
     @property
     def said(self) -> str:
         """How they come, in words."""
-        low, high = (f"{float(np.quantile(self.gap_s, level)):.1f}" for level in (0.05, 0.95))
+        low, high = (f"{fixed(float(np.quantile(self.gap_s, level)), 1)}" for level in (0.05, 0.95))
         return f"a part ({low} to {high} s after the one before; at most {self.buffer} wait)"
 
 
@@ -158,11 +159,11 @@ def _together(joint: JointCard) -> str:
 
 
 def _part(need: NeedCard) -> str:
-    return f" ({need.needed:.0%} of the times)" if need.needed < 1.0 else ""
+    return f" ({percent(need.needed)} of the times)" if need.needed < 1.0 else ""
 
 
 def _after(need: NeedCard) -> str:
-    return f"{need.after_s:.1f} s after " if need.after_s else ""
+    return f"{fixed(need.after_s, 1)} s after " if need.after_s else ""
 
 
 class PaceCard(Card, frozen=True, kw_only=True):
@@ -197,7 +198,7 @@ class PaceCard(Card, frozen=True, kw_only=True):
         part = abs(float(np.expm1(self.change)))
         how = "quicker" if self.change < 0 else "slower"
         count = self.last - self.first + 1
-        return f"{agent} becomes {part:.0%} {how} over {count} executions; times are those of the latest pace"
+        return f"{agent} becomes {percent(part)} {how} over {count} executions; times are those of the latest pace"
 
 
 class ClockErrorCard(Card, frozen=True, kw_only=True):
@@ -224,7 +225,7 @@ CHANGES_S = 0.05
 
 
 def _ahead(by_s: float) -> str:
-    return f"{abs(by_s):.2f} s {'ahead' if by_s > 0 else 'behind'}"
+    return f"{fixed(abs(by_s), 2)} s {'ahead' if by_s > 0 else 'behind'}"
 
 
 class HeldOutCard(Card, frozen=True, kw_only=True):

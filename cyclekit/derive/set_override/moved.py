@@ -13,6 +13,7 @@ from cyclekit.derive.set_override.mover import STILL, Verdict, mover_of
 from cyclekit.derive.set_override.rows import override_rows
 from cyclekit.derive.slow_down_clocks import with_slow_down_clocks
 from cyclekit.segmentation.standstills import find_standstills
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -97,6 +98,6 @@ def _turns(t_s: Vector, hand: Vector) -> tuple[Vector, Vector]:
 def _told(found: Verdict) -> Note:
     share = {} if found.share is None else {"share": max(found.share, 0.0)}
     hands = [] if found.hand is None else np.unique(np.concatenate(found.hand)).tolist()
-    sliders = ", ".join(f"{value:.2f}" for value in hands[:8])
+    sliders = ", ".join(fixed(value, 2) for value in hands[:8])
     told: dict[str, str | float] = {"turns": found.turns, "hours": found.hours, "sliders": sliders, **share}
     return note("override-moved", **told) if found.mover == "people" else note("override-unknown", **told)

@@ -33,6 +33,7 @@ from cyclekit.estimate.statistics.resample import drawn_errors, interval_of_mean
 from cyclekit.estimate.validation.question import Altered, Question
 from cyclekit.learning.networks.cell import trained_on
 from cyclekit.learning.out_of_core import in_memory
+from cyclekit.text.numbers import fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -309,7 +310,10 @@ class JointAnswers:
 def _left_out(cycles: RolledBoth, cell: JointCell) -> list[Finding]:
     """Return findings on the cycles and waits that the rollout of a plan leaves out."""
     until_s, part = longest_s(cycles.plan), cycles.left_out
-    ended = f"{part:.1%} of the cycles are left out: they end in a deadlock or do not end within {until_s:.0f} s"
+    ended = (
+        f"{percent(part, 1)} of the cycles are left out: they end in a deadlock or do not end within "
+        f"{fixed(until_s, 0)} s"
+    )
     unsourced = waits_without_source((cycles.plan.robot, *cycles.plan.operators), cell.coupling)
     told = waits_without_task(cycles.plan.robot, *cycles.plan.operators) if cycles.plan.both else ()
     alone = [ALONE] if cycles.plan.both and not cell.unseen and not cycles.plan.operators[0].tasks else []

@@ -23,6 +23,7 @@ from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, most_outside
 from cyclekit.estimate.validation.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.validation.logged import logged_durations, logged_sequences
 from cyclekit.estimate.validation.several import open_wait
+from cyclekit.text.numbers import fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -132,12 +133,13 @@ class JointCheck(Check):
         if self.by_order:
             text = (
                 "something that depends on the order was not learned: logged orders differ from their rollouts beyond "
-                f"chance; the interval of the mean is wider by that (standard deviation {self.by_order:.1%})"
+                f"chance; the interval of the mean is wider by that (standard deviation {percent(self.by_order, 1)})"
             )
             found.append(Finding("order", "amber", text))
         if self.unexplained_s:
             text = (
-                f"the robot waits {self.unexplained_s:.1f} s in an execution for something that no condition explains; "
+                f"the robot waits {fixed(self.unexplained_s, 1)} s in an execution for something that no "
+                "condition explains; "
                 "in other orders it may wait longer or shorter, and the interval of the mean is wider by that"
             )
             found.append(Finding("unexplained-waits", "amber", text))

@@ -21,6 +21,7 @@ from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.joint.walk import JointCycles, LegTimes, simulate_both
 from cyclekit.estimate.robot.safety import Dynamics, OnStates, SafetyModel, holds_everywhere
 from cyclekit.estimate.robot.signal_states import on_states_of
+from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -321,7 +322,7 @@ def _of_one(
     stuck = rows[simulated.stuck[rows]]
     if len(stuck) > LEFT_OUT * len(rows):
         operator = plan.operators[(stuck[0] - rows[0]) % len(plan.operators)]
-        part = f" in {len(stuck) / len(rows):.1%} of the cycles" if len(stuck) < len(rows) else ""
+        part = f" in {percent(len(stuck) / len(rows), 1)} of the cycles" if len(stuck) < len(rows) else ""
         return EstimateError(
             f"{plan.name}: deadlock{part}: {deadlock(plan.robot, operator, simulated, stuck[0], columns)}",
             cure="Change the order of one agent, or 'after'" + (f"; {TOLD}." if told else OF_LOGS if part else "."),

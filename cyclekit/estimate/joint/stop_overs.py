@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.estimate.finding import Finding
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -141,10 +142,13 @@ def with_stop_overs(
     said = f"in the logs the operator never went {' or '.join(dict.fromkeys(ways))}; "
     names = " and ".join(dict.fromkeys(one.place for one in left_out))
     if by_order:
-        said += f"the estimate includes that ({without.expected_s:.1f} s without it): name {names} in the sequence"
+        said += (
+            f"the estimate includes that ({fixed(without.expected_s, 1)} s without it): name {names} in the sequence"
+        )
         return replace(found, findings=(Finding("stop-over", "amber", said), *found.findings)), means
     said += (
-        f"with that the mean is {found.expected_s:.1f} s, and its interval covers both: name {names} in the sequence"
+        f"with that the mean is {fixed(found.expected_s, 1)} s, and its interval covers both: name "
+        f"{names} in the sequence"
     )
     said += " if he goes there"
     low, high = min(without.expected_low_s, found.expected_low_s), max(without.expected_high_s, found.expected_high_s)

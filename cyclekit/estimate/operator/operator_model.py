@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.statistics.resample import TOGETHER, resampled, resampled_alike
+from cyclekit.text.numbers import signed, signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,8 +63,8 @@ class OperatorModel:
         if not self.as_logged:
             return None
         return (
-            f"starting logged operators at any instant changes cycle times by {self.bias:+.1%} "
-            f"({self.z:+.1f} standard errors): they start where their executions do"
+            f"starting logged operators at any instant changes cycle times by {signed_percent(self.bias, 1)} "
+            f"({signed(self.z, 1)} standard errors): they start where their executions do"
         )
 
     def to_dict(self) -> dict[str, float | bool]:

@@ -25,6 +25,7 @@ from msgspec import Meta
 
 from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.text.numbers import count
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,7 +83,7 @@ class Jobs:
             raise ConfigError(f"{self.shown}: fewer than two places to visit", cure=_EXAMPLE)
         for agent, jobs in (("robot", self.visit), ("operator", self.operator)):
             if len(jobs) > MAX_VISITS:
-                msg = f"{self.shown}: {len(jobs):,} jobs of the {agent}; at most {MAX_VISITS} can be ordered"
+                msg = f"{self.shown}: {count(len(jobs))} jobs of the {agent}; at most {MAX_VISITS} can be ordered"
                 raise ConfigError(msg, cure="Plan a part of the work, such as one tray or one layer.")
         for pair in self.before:
             for name in pair:

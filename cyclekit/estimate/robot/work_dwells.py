@@ -22,6 +22,7 @@ import polars as pl
 
 from cyclekit.estimate.statistics.same_work import Work, work_of
 from cyclekit.segmentation.rank_test import by_chance
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -117,12 +118,12 @@ def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[s
         kinds = {kind: one for kind, one in stands.items() if isinstance(kind, StandstillKind)}
         if kinds:
             lasts = " or ".join(
-                f"{one.mean_s:.1f} s (in {group.executions} executions)" for group, one in kinds.items()
+                f"{fixed(one.mean_s, 1)} s (in {group.executions} executions)" for group, one in kinds.items()
             )
             found.setdefault(place, f"standstill at {place} is {lasts}, and no logged place or visit tells which")
             continue
         ends = (choose(stands, key=lambda group: stands[group].mean_s) for choose in (min, max))
-        said = (f"{stands[group].mean_s:.1f} s in {_shown(group)}" for group in ends)
+        said = (f"{fixed(stands[group].mean_s, 1)} s in {_shown(group)}" for group in ends)
         found.setdefault(place, f"standstill at {place} depends on the work: {', '.join(said)}")
     return list(found.values())
 

@@ -42,6 +42,7 @@ from cyclekit.estimate.validation.logged import (
 from cyclekit.estimate.validation.several import open_wait
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.numbers import percent, signed_percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -204,7 +205,7 @@ class Check:
         found = [self._bias_found, self._coverage_found]
         if self._reacts:
             text = (
-                f"backtest with the operators of all others: bias {self.crossed_bias:+.1%}; the operator "
+                f"backtest with the operators of all others: bias {signed_percent(self.crossed_bias, 1)}; the operator "
                 "seems to react to the robot, which no rollout reproduces"
             )
             found.append(Finding("reacts", "amber", text))
@@ -212,11 +213,11 @@ class Check:
 
     @property
     def _bias_found(self) -> Finding:
-        text = f"backtest with {self.with_own}: bias {self.own_bias:+.1%}"
+        text = f"backtest with {self.with_own}: bias {signed_percent(self.own_bias, 1)}"
         if not self.biased(OWN_BIAS):
             return Finding("bias", "green", text)
-        text += f" (+-{self.own_within:.1%}) on {self.executions} logged executions"
-        text += f"; every duration is corrected by {self.factor - 1:+.1%}"
+        text += f" (± {percent(self.own_within, 1)}) on {self.executions} logged executions"
+        text += f"; every duration is corrected by {signed_percent(self.factor - 1, 1)}"
         return Finding("bias", "red" if self.biased(ALARMING_BIAS) else "amber", text, f"{self.look_at} {LOOK}")
 
     @property
@@ -227,7 +228,7 @@ class Check:
             return Finding("backtest", "amber", text, covered=False)
         wanted = self.levels[1] - self.levels[0]
         low = bdtr(round(self.coverage * self.executions), self.executions, wanted) < ndtr(-SURE)
-        text = f"{self.coverage:.0%} of the logged executions lie in their {wanted:.0%} prediction intervals"
+        text = f"{percent(self.coverage)} of the logged executions lie in their {percent(wanted)} prediction intervals"
         if not low:
             return Finding("backtest", "green", text)
         return Finding("backtest", "red", f"only {text}", f"{self.look_at} {LOOK}")

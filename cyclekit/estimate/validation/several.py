@@ -9,6 +9,7 @@ import polars as pl
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.learning.coupling.several_people import several_people
+from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -39,7 +40,8 @@ def several_found(dataset: Dataset) -> Iterator[Finding]:
     """Yield a finding if the logs show several people at once."""
     if share := several_people(dataset.recordings):
         text = (
-            f"in {share:.0%} of the samples with people several are seen at once; they are taken for one, the nearest "
+            f"in {percent(share)} of the samples with people several are seen at once; they are taken for "
+            "one, the nearest "
             "to the TCP, so it is not learned who waits for whom: in other orders the robot's waits may vanish or "
             "double, which the interval of the mean covers"
         )

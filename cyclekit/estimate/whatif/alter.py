@@ -31,7 +31,7 @@ from cyclekit.estimate.whatif.signals import SAME_LEVEL, with_other_signals
 from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.rules.safety import RuleSafety
 from cyclekit.learning.rules.samples.quantities import RulePlace, quantities, shifted
-from cyclekit.text.numbers import compact
+from cyclekit.text.numbers import compact, given, percent
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -167,7 +167,7 @@ def _with_other_limits(change: Change, model: SafetyModel) -> RuleSafety:
         for kind, edge, name, metres in _numbers(wanted):
             place = RulePlace(level, until=False, kind=kind, item=0, edge=edge)
             if place not in known or place._replace(item=1) in known:
-                seen = f"change {change.name!r}: the rule has not exactly one {name} at level {wanted.level:g}"
+                seen = f"change {change.name!r}: the rule has not exactly one {name} at level {given(wanted.level)}"
                 raise EstimateError(seen, cure=f"Change one of these: {_has(known)}.")
             limits = shifted(limits, place, metres - known[place].value)
     return model.with_limits(limits)
@@ -180,7 +180,7 @@ def _has(known: Mapping[RulePlace, object]) -> str:
         if place.kind in ("rectangle", "nearer"):
             axis = f"{'xy'[place.edge // 2]}_m" if place.kind == "rectangle" else "threshold_m"
             names.setdefault(place.level, {})[axis] = None
-    return "; ".join(f"level {level:g}: {', '.join(each)}" for level, each in names.items())
+    return "; ".join(f"level {given(level)}: {', '.join(each)}" for level, each in names.items())
 
 
 def _numbers(wanted: LimitChange) -> Iterator[tuple[str, int, str, float]]:
@@ -262,9 +262,9 @@ def _as_often(
     share = float(away.mean() if tracks.at_any_instant else away[own].mean())
     stretch = (1 / frequency - (1 - share)) / share if share > 0 else 0.0
     if share < 0.02 or stretch <= 0:
-        seen = f"change {name!r}: the operator is away {share:.0%} of the time, so the operator cannot come "
+        seen = f"change {name!r}: the operator is away {percent(share)} of the time, so the operator cannot come "
         raise EstimateError(
-            f"{seen}{frequency:g} times as often",
+            f"{seen}{given(frequency)} times as often",
             cure=_at_most(1 / max(1 - share, 1e-9)),
         )
     ends = np.cumsum(np.where(away, stretch, 1.0), axis=1)

@@ -55,6 +55,7 @@ from cyclekit.config.cells import Levels, Number, Point
 from cyclekit.config.toml_file import read_toml, require_list, to_dataclass
 from cyclekit.dataset.cards.quantities import LONGEST_DELAY_S, SLOWEST_RAMP
 from cyclekit.errors import ConfigError
+from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -116,12 +117,12 @@ class LimitChange:
             ValueError: It is one of these.
         """
         if self.threshold_m is None and self.x_m is None and self.y_m is None:
-            msg = f"limit of level {self.level:g}: give threshold_m, x_m or y_m"
+            msg = f"limit of level {given(self.level)}: give threshold_m, x_m or y_m"
             raise ValueError(msg)
         if self.threshold_m is not None and self.threshold_m < 0:
-            msg = f"limit of level {self.level:g}: threshold_m {self.threshold_m} must be 0 or more"
+            msg = f"limit of level {given(self.level)}: threshold_m {self.threshold_m} must be 0 or more"
             raise ValueError(msg)
-        _refuse_edges(f"limit of level {self.level:g}", self.x_m, self.y_m)
+        _refuse_edges(f"limit of level {given(self.level)}", self.x_m, self.y_m)
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,7 @@ class Change:
             self._refuse(f"frequency {self.frequency}", cure)
         self._refuse_dynamics()
         if slow := [value for value in self.faster.values() if not 1 / FASTEST <= value <= FASTEST]:
-            self._refuse(f"faster {slow[0]:g}", "1.2 means 1.2 times as fast; give 0.01 to 100.")
+            self._refuse(f"faster {given(slow[0])}", "1.2 means 1.2 times as fast; give 0.01 to 100.")
         for name, count in (*self.more_places.items(), *self.buffer.items()):
             if not 0 < count <= FASTEST:
                 self._refuse(f"{name}: {count}", "Give a whole number, 1 or more.")
@@ -253,7 +254,7 @@ class Change:
             least = SLOWEST_RAMP if name.startswith("ramp_") else 0.0
             if not least <= value <= most:
                 cure = "inf means without a ramp." if name.startswith("ramp_") else ""
-                self._refuse(f"{name} {value}", f"Give {least:g} to {most:g}. {cure}".rstrip())
+                self._refuse(f"{name} {value}", f"Give {given(least)} to {given(most)}. {cure}".rstrip())
 
     def _refuse(self, seen: str, cure: str) -> None:
         raise ConfigError(f"change {self.name!r}: {seen}", cure=cure)

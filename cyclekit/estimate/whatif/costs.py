@@ -19,7 +19,7 @@ from cyclekit.estimate.validation.question import Altered
 from cyclekit.estimate.whatif.answer import NO_PROOF, paired_savings
 from cyclekit.estimate.whatif.separation import margins_of, refuse_other_thresholds
 from cyclekit.learning.rules.samples.quantities import outwards, quantities, released, shifted
-from cyclekit.text.numbers import exact_percent
+from cyclekit.text.numbers import exact_percent, signed
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -96,7 +96,9 @@ class SafetyCosts(Result):
 
     def _lines(self) -> list[str]:
         rows = [(each.sequence, one) for each in self.sequences for one in each.parameters]
-        told = [f"{name!r}, {parameter_label(one)}, {step_label(one)}: {one.costs_s:+.3f} s" for name, one in rows]
+        told = [
+            f"{name!r}, {parameter_label(one)}, {step_label(one)}: {signed(one.costs_s, 3)} s" for name, one in rows
+        ]
         return [self.safety, *told]
 
 
@@ -110,7 +112,7 @@ def parameter_label(cost: ParameterCost) -> str:
 def step_label(cost: ParameterCost) -> str:
     """Return a step with its sign and unit: `+1 cm`, `+10 ms`, `+10 %/s`."""
     size, unit = {"m": (100, "cm"), "s": (1000, "ms"), "1/s": (100, "%/s")}[cost.unit]
-    return f"{size * cost.step:+.0f} {unit}"
+    return f"{signed(size * cost.step, 0)} {unit}"
 
 
 @dataclass(frozen=True)

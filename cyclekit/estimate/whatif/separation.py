@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError
 from cyclekit.learning.rules.samples.distances import TO_BASE
+from cyclekit.text.numbers import compact, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -62,7 +63,7 @@ class Separation:
             for one in values:
                 if not math.isfinite(one) or not 0 <= one <= _MOST[unit] or (unit == "m/s" and one == 0):
                     cure = f"Give it in {unit}: more than 0" if unit == "m/s" else f"Give it in {unit}: 0 or more"
-                    raise ConfigError(f"{name} {one:g}", cure=f"{cure}, at most {_MOST[unit]:g}.")
+                    raise ConfigError(f"{name} {compact(one, 6)}", cure=f"{cure}, at most {compact(_MOST[unit], 6)}.")
 
     def distance_m(self, speed: float, number: int) -> float:
         """Return S_p, m, for a robot at share `speed` of its speed, with the stopping times of threshold `number`."""
@@ -179,7 +180,10 @@ def _notes(rule: RuleCard, given: Separation, rows: Sequence[Margin], latency_s:
     if any(row.margin_m is None for row in rows):
         told.append("distances to the robot's base are not compared: they do not include the robot's reach")
     if latency_s is not None and latency_s > given.reaction_time_s + 0.02:
-        told.append(f"the logs show a reaction time of {latency_s:.2f} s, the one given is {given.reaction_time_s:g} s")
+        told.append(
+            f"the logs show a reaction time of {fixed(latency_s, 2)} s, the one given is "
+            f"{compact(given.reaction_time_s, 6)} s"
+        )
     if any(len(each) == 1 < len(rows) for each in (given.stopping_time_s, given.stopping_distance_m)):
         told.append(
             "one stopping time or distance is used for every speed; give one for each threshold if lower ones apply"

@@ -14,6 +14,7 @@ import polars as pl
 from cyclekit.ingest.validate.motion import PERSON, TCP, Kind, Places
 from cyclekit.ingest.validate.no_person_values import NoPersonValues
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
+from cyclekit.text.numbers import compact, fixed, given
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -110,7 +111,7 @@ class Checks:
         if not self._ahead:
             return []
         return [
-            f"the time of {self.whose} jumps ahead by {self._furthest_s / DAY_S:.1f} days: nothing was logged in "
+            f"the time of {self.whose} jumps ahead by {fixed(self._furthest_s / DAY_S, 1)} days: nothing was logged in "
             "between, or the clock was set; if it was, split the log there"
         ]
 
@@ -118,9 +119,9 @@ class Checks:
         period = self._period_s
         if period is not None and period > 1.5:
             unit = "probably milliseconds read as seconds; give time_unit"
-            return [f"robot rows lie {period:.3g} s apart: {unit}"]
+            return [f"robot rows lie {compact(period, 3)} s apart: {unit}"]
         if period is not None and period < FASTEST_S:
-            return [f"robot rows lie {period:.3g} s apart: check the unit of time and give time_unit"]
+            return [f"robot rows lie {compact(period, 3)} s apart: check the unit of time and give time_unit"]
         return []
 
 
@@ -175,10 +176,10 @@ class RobotChecks(Checks):
             if seen.rows:
                 percent = 1.5 < seen.most <= 200.0
                 likely = "probably percent, set scaling_max = 100" if percent else "not a fraction"
-                messages.append(f"{name} reaches {seen.most:g} in {seen.rows} rows: {likely}; unknown there")
+                messages.append(f"{name} reaches {given(seen.most)} in {seen.rows} rows: {likely}; unknown there")
         if self._speed.rows:
             likely = "likely mm/s" if self._speed.in_another_unit else "garbled"
-            top, rows = f"{self._speed.most:.4g}", self._speed.rows
+            top, rows = compact(self._speed.most, 4), self._speed.rows
             messages.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
         if self._turned:
             messages.append(self._degrees)
@@ -189,7 +190,7 @@ class RobotChecks(Checks):
     @property
     def _degrees(self) -> str:
         name = min(self._turned)
-        return f'{name} exceeds {ANGLE_RAD:.0f} rad: probably degrees; set joint_unit = "deg"'
+        return f'{name} exceeds {fixed(ANGLE_RAD, 0)} rad: probably degrees; set joint_unit = "deg"'
 
     def impossible(self) -> list[str]:
         """Return those of the warnings that mean that a whole column cannot be as it was read."""
@@ -280,14 +281,14 @@ def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence
     kind: Kind = places.kind
     times, xyz = column(frame, "t_s"), positions(frame, kind)
     beyond = places.out_of_reach(xyz, is_here(frame))
-    reason = f"{kind.whose} more than {kind.reach_m:.0f} m away: implausible position"
+    reason = f"{kind.whose} more than {fixed(kind.reach_m, 0)} m away: implausible position"
     if beyond.any():
         frame = checks.drop(frame, beyond, reason)
         groups = tracks(frame)
         times, xyz = times[~beyond], xyz[:, ~beyond]
     stray = places.strays(times, xyz, groups, is_here(frame))
     places.record_constant(xyz[:, judged_rows(frame)])
-    jumped = f"{kind.whose} jumps there and back implausibly fast (faster than {kind.speed_m_s:.0f} m/s)"
+    jumped = f"{kind.whose} jumps there and back implausibly fast (faster than {fixed(kind.speed_m_s, 0)} m/s)"
     return checks.drop(frame, stray, jumped)
 
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.text.numbers import fixed, given
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -133,13 +135,13 @@ class Places:
         kind, found = self.kind, []
         if self._far_rows:
             found.append(
-                f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: probably millimetres; "
+                f"{kind.whose} is {fixed(self._far_m, 0)} m away in {self._far_rows} rows: probably millimetres; "
                 'set length_unit = "mm", or correct the unit in the export'
             )
         if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
             found.append(
-                f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: probably "
-                "metres with the unit given as millimetres; correct the unit"
+                f"{kind.whose} is never farther than {fixed(1e3 * self._most_m, 1)} mm from the origin on "
+                "any axis: probably metres with the unit given as millimetres; correct the unit"
             )
         return found
 
@@ -148,13 +150,14 @@ class Places:
         kind, found = self.kind, self.impossible()
         if self._jumps:
             found.append(
-                f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}"
+                f"{kind.whose} jumps faster than {fixed(kind.speed_m_s, 0)} m/s {self._jumps} time(s): {kind.likely}"
             )
         if self._same is None or not self._still or self._seen < STILL_ROWS:
             return [], found
         x, y = self._same
         return [
-            f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: check the logged signal"
+            f"{kind.whose} stays at exactly ({given(x)}, {given(y)}) m in all {self._seen} rows: check the "
+            "logged signal"
         ], found
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.ingest.validate.window import BEFORE, HERE, PLACE
+from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -86,7 +87,7 @@ class NoPersonValues:
     def warnings(self) -> list[str]:
         """Return warnings with the positions that meant no person, and their counts."""
         return [
-            f"a person is at exactly {value:g} m on every axis in {count} of {self._seen} rows: "
+            f"a person is at exactly {given(value)} m on every axis in {count} of {self._seen} rows: "
             "this means no person seen; unknown there"
             for value, count in sorted(self._rows.items(), key=lambda item: -item[1])
         ]

@@ -11,6 +11,7 @@ import polars as pl
 
 from cyclekit.ingest.validate.checks import Checks
 from cyclekit.ingest.validate.window import HERE, PLACE
+from cyclekit.text.numbers import compact, fixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,12 +58,13 @@ class TaskChecks(Checks):
             return []
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
-            return [f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit"]
+            return [f"half of the tasks take {compact(median_s, 3)} s: check the unit of time and give time_unit"]
         return []
 
     def _overlap_warnings(self, agents: pl.DataFrame) -> list[str]:
         messages = [
-            f"{count} of {tasks} tasks of {name!r} start before its previous task has ended, by up to {most:.1f} s"
+            f"{count} of {tasks} tasks of {name!r} start before its previous task has ended, by up to "
+            f"{fixed(most, 1)} s"
             for name, tasks, count, most in agents[:SHOWN].iter_rows()
         ]
         return (

@@ -9,6 +9,7 @@ import polars as pl
 
 from cyclekit.dataset.cards.notes import note
 from cyclekit.learning.coupling.waits import condition_text
+from cyclekit.text.numbers import fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -83,7 +84,7 @@ def _passages(one: ConditionCard) -> str:
     """Return in which passages a condition is needed, as the end of a phrase."""
     text = f", {one.back} visit{'s' * (one.back > 1)} earlier" if one.back else ""
     text += f", every {_nth(one.turns.every)} time" if one.turns.every > 1 else ""
-    text += f", needed in {one.needed:.0%}" if one.needed < 1.0 else ""
+    text += f", needed in {percent(one.needed)}" if one.needed < 1.0 else ""
     return text + (", where the other waits too" if one.together else "")
 
 
@@ -110,8 +111,10 @@ def habit_lines(found: CouplingCard | None) -> list[str]:
 def _trip_line(gate: GateCard, trip: TripCard) -> str:
     took_s = sorted(trip.took_s)
     return (
-        f"operator {AT[gate.at]} {gate.place}: trips to {' or '.join(trip.places)} in {trip.waiting:.0%} of his waits "
-        f"and {trip.free:.0%} of the other passages, {_quantile(took_s, 0.05):.1f} to {_quantile(took_s, 0.95):.1f} s"
+        f"operator {AT[gate.at]} {gate.place}: trips to {' or '.join(trip.places)} in "
+        f"{percent(trip.waiting)} of his waits "
+        f"and {percent(trip.free)} of the other passages, {fixed(_quantile(took_s, 0.05), 1)} to "
+        f"{fixed(_quantile(took_s, 0.95), 1)} s"
     )
 
 
@@ -119,13 +122,14 @@ def _own_work_line(gate: GateCard) -> str:
     sides = {"next": "before he goes to", "before": "after he comes from"}
     begun = "if a cycle begins in the middle of it"
     where = [f"{sides[one.side]} {one.place}" if one.place else begun for one in gate.own_by]
-    each = [f"{_quantile(one.own_s, 0.5):.1f} s {what}" for one, what in zip(gate.own_by, where, strict=True)]
+    each = [f"{fixed(_quantile(one.own_s, 0.5), 1)} s {what}" for one, what in zip(gate.own_by, where, strict=True)]
     return f"operator at {gate.place}: median own work {', '.join(each)}"
 
 
 def _in_turn_line(card: InTurnCard) -> str:
     gap, first = (
-        f"{_quantile(values, 0.05):.1f} to {_quantile(values, 0.95):.1f} s" for values in (card.gap_s, card.first_s)
+        f"{fixed(_quantile(values, 0.05), 1)} to {fixed(_quantile(values, 0.95), 1)} s"
+        for values in (card.gap_s, card.first_s)
     )
     return (
         f"one operator gives {', '.join(card.signals)} in turn: each at the earliest {gap} after the one before, the "
@@ -134,14 +138,14 @@ def _in_turn_line(card: InTurnCard) -> str:
 
 
 def _source_lines(source: SourceCard, *, in_turn: bool) -> list[str]:
-    gap = f"{_quantile(source.gap_s, 0.05):.1f} to {_quantile(source.gap_s, 0.95):.1f} s"
+    gap = f"{fixed(_quantile(source.gap_s, 0.05), 1)} to {fixed(_quantile(source.gap_s, 0.95), 1)} s"
     if not source.after:
         between = ", also between executions" if source.comes_on else ""
         signal = "" if source.inferred else f" of {source.signal}"
         return [f"parts{signal} come {gap} apart{between}; at most {source.buffer} wait at {source.taken_by}"]
     lines = []
     for one in source.after:
-        lag = f"{max(_quantile(one.lag_s, 0.05), 0.0):.1f} to {_quantile(one.lag_s, 0.95):.1f} s"
+        lag = f"{fixed(max(_quantile(one.lag_s, 0.05), 0.0), 1)} to {fixed(_quantile(one.lag_s, 0.95), 1)} s"
         visit = " in its visit before" if one.back else ""
         by_itself = not in_turn and _quantile(source.gap_s, 0.95) > 0.0
         own = f", or {gap} after the one before, whichever is later" if by_itself else ""

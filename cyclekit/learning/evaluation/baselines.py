@@ -18,6 +18,7 @@ import numpy as np
 from cyclekit.learning.networks.boosting import TREES, grow
 from cyclekit.learning.networks.comparison import STAIRCASE, distance_of, fit_thresholds, staircase_at
 from cyclekit.learning.windows import GROUPS
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,13 +46,13 @@ def rivals(learn: Samples, judge: Samples, levels: Sequence[float], *, signals: 
         signals: The inputs are signals instead of the operator's position: use their states, and no distance.
     """
     mean = float(learn.scaling.mean())
-    found = [Rival("constant mean", (mean - judge.scaling) ** 2, f"scaling {mean:.3f} everywhere")]
+    found = [Rival("constant mean", (mean - judge.scaling) ** 2, f"scaling {fixed(mean, 3)} everywhere")]
     if signals:
         squared = (_by_state(learn, judge) - judge.scaling) ** 2
         found.append(Rival("signals alone", squared, "mean scaling while these signals are on"))
     elif len(levels) > 1:
         thresholds = fit_thresholds(distance_of(learn), learn.scaling, levels)
-        shown = ", ".join(f"{threshold:.2f}" if np.isfinite(threshold) else "never" for threshold in thresholds)
+        shown = ", ".join(fixed(threshold, 2) if np.isfinite(threshold) else "never" for threshold in thresholds)
         squared = (staircase_at(thresholds, levels, judge) - judge.scaling) ** 2
         found.append(Rival(STAIRCASE, squared, f"thresholds on the distance: {shown} m"))
     return found

@@ -31,7 +31,7 @@ from cyclekit.learning.rules.words import kind_of
 from cyclekit.learning.signal_inputs import as_learned_by, learned_rows
 from cyclekit.learning.windows import GROUPS, Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
-from cyclekit.text.numbers import fixed, percent, scientific
+from cyclekit.text.numbers import fixed, given, percent, scientific
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -296,8 +296,11 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: Sequence[str], *, l
     known, history = model.weights.known, model.history
     learned_hz = model.card.rate_hz or dataset.rate_hz
     if history != (1, 1) and learned_hz != dataset.rate_hz:
-        msg = f"the model looks back at samples of {learned_hz:g} Hz, and {dataset.path} has {dataset.rate_hz:g} Hz"
-        raise ModelError(msg, cure=f"Ingest the logs with --rate {learned_hz:g}, or train on this dataset.")
+        msg = (
+            f"the model looks back at samples of {given(learned_hz)} Hz, and {dataset.path} has "
+            f"{given(dataset.rate_hz)} Hz"
+        )
+        raise ModelError(msg, cure=f"Ingest the logs with --rate {given(learned_hz)}, or train on this dataset.")
     past = model.past
     if last_second:
         history = ModelSpec.of("ahead", "boosting").at_rate(dataset.rate_hz).history or history

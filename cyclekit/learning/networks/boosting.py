@@ -14,6 +14,7 @@ from cyclekit.dataset.cards import EpochCard
 from cyclekit.learning.last_second import window_features
 from cyclekit.learning.networks.fitted import Fitted
 from cyclekit.learning.networks.trees import COLUMNS, Trees
+from cyclekit.text.numbers import scientific
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,7 +48,7 @@ def fit_trees(
     loss, error = (grown.staged_errors(part) for part in (some, validation))
     kept = int(np.argmin(error)) + 1
     if progress:
-        progress(1.0, f"{kept} trees, validation MSE {error[kept - 1]:.2e}")
+        progress(1.0, f"{kept} trees, validation MSE {scientific(error[kept - 1])}")
     at = np.arange(_EVERY, len(error) + 1, _EVERY)
     history = [EpochCard(epoch=int(n), loss=float(loss[n - 1]), validation_mse=float(error[n - 1])) for n in at]
     none = np.zeros(0)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.dataset.cards import CellCard, FrameCard, TrainingCard, plain
 from cyclekit.errors import ModelError
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -116,9 +117,11 @@ def _other_places(learned: Mapping[str, _Spot], here: Mapping[str, _Spot]) -> st
     if min(len(lost) / len(here), len(gone) / len(learned)) <= 1 - SAME:
         return None
     first = lost[0]
-    shown = ", ".join(f"{value + 0.0:.2f}" for value in here[first][:3])
+    shown = ", ".join(fixed(value + 0.0, 2) for value in here[first][:3])
     was = (
-        f", and was at ({', '.join(f'{value + 0.0:.2f}' for value in learned[first][:3])})" if first in learned else ""
+        f", and was at ({', '.join(f'{fixed(value + 0.0, 2)}' for value in learned[first][:3])})"
+        if first in learned
+        else ""
     )
     return f"{len(lost)} of {len(here)} places are not where they were in training, such as {first} at ({shown}) m{was}"
 
@@ -137,7 +140,7 @@ def _other_levels(learned: Sequence[float], here: Sequence[float]) -> str | None
     known = [level for level in here if any(abs(level - other) <= LEVEL for other in learned)]
     if len(known) >= SAME * len(here):
         return None
-    trained, seen = (", ".join(f"{level:.2f}" for level in levels) for levels in (learned, here))
+    trained, seen = (", ".join(fixed(level, 2) for level in levels) for levels in (learned, here))
     return f"the speed scaling has the levels {seen}, in training {trained}"
 
 

@@ -14,6 +14,7 @@ from cyclekit.errors import command_line
 from cyclekit.learning.networks.kinds import NETWORKS, networks_for
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.networks.weights import distance
+from cyclekit.text.numbers import scientific
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -53,8 +54,9 @@ class BetterRival:
         """Return this as one line with the command that trains again; `dataset` and `out` are paths."""
         words = ("train", dataset, "--out", out, *self.otherwise)
         return (
-            f"the {self.name} is better than the model beyond chance: MSE {self.mse:.2e} against {self.model_mse:.2e} "
-            f"on {self.executions} held-out executions; train again: {command_line(*words)}"
+            f"the {self.name} is better than the model beyond chance: MSE {scientific(self.mse)} against "
+            f"{scientific(self.model_mse)} on {self.executions} held-out executions; "
+            f"train again: {command_line(*words)}"
         )
 
 

@@ -24,6 +24,7 @@ from cyclekit.learning.networks.metrics import best_temperature
 from cyclekit.learning.networks.network import Forecasting, build
 from cyclekit.learning.networks.optimiser import Steps
 from cyclekit.learning.networks.rows import DISTANCE_1_M, DISTANCE_M, TrainingRows, rows_on, standardisation
+from cyclekit.text.numbers import given, scientific
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -154,11 +155,11 @@ def _run(
         if mse < best:
             best, best_state, since = mse, copy.deepcopy(network.state_dict()), 0
         if progress:
-            progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {mse:.2e}")
+            progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {scientific(mse)}")
         if spec.patience is not None and since >= spec.patience:
             break
     if mse > spread and not spec.kind.is_classifier and (value := _cut_off(network, check)) is not None:
-        msg = f"training collapsed: after {number} epochs the output is {value:g} for every input"
+        msg = f"training collapsed: after {number} epochs the output is {given(value)} for every input"
         raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
     if not math.isfinite(best):
         msg = f"training diverged: the validation error is {mse} after {epochs} epochs"

@@ -15,6 +15,7 @@ import numpy as np
 from cyclekit.dataset.cards import MetricsCard
 from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.text.numbers import fixed, percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,10 +90,10 @@ def large_error(metrics: MetricsCard, levels: Sequence[float]) -> str:
     mae, constant = metrics.mae, metrics.mse_constant
     half = (levels[-1] - levels[0]) / (len(levels) - 1) / 2 if len(levels) > 1 else float("inf")
     if mae > half:
-        return f"mean absolute error {mae:.3f}, more than half a step between its levels ({half:.3f})"
+        return f"mean absolute error {fixed(mae, 3)}, more than half a step between its levels ({fixed(half, 3)})"
     left = metrics.mse_mean / constant if constant else 0.0
     if left > MUCH_UNEXPLAINED:
-        return f"{left:.0%} of the variance of the speed scaling unexplained (always predicting the mean: 100%)"
+        return f"{percent(left)} of the variance of the speed scaling unexplained (always predicting the mean: 100 %)"
     return ""
 
 

@@ -16,6 +16,7 @@ from cyclekit.extras import need
 from cyclekit.learning.networks.kinds import is_classifier
 from cyclekit.learning.networks.trees import Trees
 from cyclekit.storage.atomic import replaced
+from cyclekit.text.numbers import scientific
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,7 +55,9 @@ def write_onnx(path: Path, model: TrainedModel) -> float | None:
     data = content.SerializeToString()
     off = _difference(data, model)
     if off is not None and off > TOLERANCE:
-        msg = f"{path}: onnxruntime predicts up to {off:.1e} apart from cyclekit, so the file was not written"
+        msg = (
+            f"{path}: onnxruntime predicts up to {scientific(off, 1)} apart from cyclekit, so the file was not written"
+        )
         raise ModelError(msg)
     with replaced(path) as staging:
         staging.write_bytes(data)

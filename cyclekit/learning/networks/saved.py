@@ -33,6 +33,7 @@ from cyclekit.storage.atomic import recover, staged
 from cyclekit.storage.identify import MODEL_CARD, instead_of
 from cyclekit.storage.outputs import check_writable_folder
 from cyclekit.storage.remote.folders import is_url, local, published
+from cyclekit.text.numbers import fixed
 from cyclekit.text.plain_text import all_in_one_line
 from cyclekit.text.results import Result
 
@@ -200,9 +201,9 @@ class TrainedModel(Result):
         return pl.DataFrame(plain(self.card, nulls=True)["history"] or [], infer_schema_length=None)
 
     def _lines(self) -> list[str]:
-        levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
+        levels = ", ".join(fixed(level, 2) for level in self.levels) or "none"
         metrics = self.card.metrics
-        error = "" if metrics is None else f", held out: mean absolute error {metrics.mae:.4f}"
+        error = "" if metrics is None else f", held out: mean absolute error {fixed(metrics.mae, 4)}"
         return [f"{self.network} for problem {self.problem}, levels {levels}{error}"]
 
 

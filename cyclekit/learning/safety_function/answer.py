@@ -33,6 +33,7 @@ from cyclekit.learning.safety_function.path import PATH_M, speeds_on_path
 from cyclekit.learning.signal_inputs import as_learned_by, by_signals
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.plots.labels import CellOnFloor
+from cyclekit.text.numbers import fixed, percent
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -153,7 +154,10 @@ class SafetyFunction(Result):
         if self.commanded.rule is not None:
             return list(self.rule_sentences)
         best = self.explained.get(self.rule, float("nan"))
-        return [f"levels {', '.join(f'{level:.2f}' for level in self.levels)}; by {self.rule} (explains {best:.1%})"]
+        return [
+            f"levels {', '.join(f'{fixed(level, 2)}' for level in self.levels)}; by {self.rule} (explains "
+            f"{percent(best, 1)})"
+        ]
 
 
 @one_thread()
@@ -295,9 +299,10 @@ def _notes(rule: str, *, is_distance: bool, parts: Mapping[str, float]) -> tuple
     if not is_distance:
         best = max((name for name in DISTANCES if name in parts), key=lambda name: parts[name])
         found.append(
-            f"distance is not enough: the best one ({best}) explains {parts[best]:.1%} of the scaling's variance, "
-            f"{rule if rule not in DISTANCES else 'the network'} "
-            f"{parts[rule] if rule not in DISTANCES else parts['network']:.1%}; thresholds in metres mean little here"
+            f"distance is not enough: the best one ({best}) explains {percent(parts[best], 1)} of the "
+            f"scaling's variance, {rule if rule not in DISTANCES else 'the network'} "
+            f"{percent(parts[rule] if rule not in DISTANCES else parts['network'], 1)}; thresholds in "
+            "metres mean little here"
         )
     found.append(_NO_PROOF)
     return tuple(found)

@@ -16,6 +16,7 @@ from cyclekit.learning.rules.words import FIELD_COLUMNS, field_rows
 from cyclekit.learning.safety_function.fit import FLOOR_M, Threshold
 from cyclekit.learning.safety_function.path import PATH_M
 from cyclekit.plots.style import MUTED, plain_style
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,7 +98,7 @@ def _over_distance(axes: Axes, zones: SafetyFunction) -> None:
     spans = [(each.low, each.high) for each in known if np.isfinite([each.low, each.high]).all()]
     draw_curves(axes, curves, spans, name)
     if known:
-        axes.set_xticks([entry.metres for entry in known], [f"{entry.metres:.2f}" for entry in known])
+        axes.set_xticks([entry.metres for entry in known], [fixed(entry.metres, 2) for entry in known])
         axes.set_yticks(zones.levels)
 
 

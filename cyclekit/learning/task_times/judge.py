@@ -12,6 +12,7 @@ from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.joint import marked
 from cyclekit.learning.task_times.learn import rolled_run
 from cyclekit.learning.task_times.runs import logged_runs
+from cyclekit.text.numbers import percent, signed, signed_percent
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -76,16 +77,18 @@ class TaskTimesEvaluation(Result):
 
     def _lines(self) -> list[str]:
         lines = [
-            f"{self.executions} executions: cycle time {self.bias:+.1%} off on average, mean error {self.error:.1%}, "
-            f"{self.coverage:.0%} within the middle 90 % of the rolled-out cycles",
+            f"{self.executions} executions: cycle time {signed_percent(self.bias, 1)} off on average, mean "
+            f"error {percent(self.error, 1)}, {percent(self.coverage)} within the middle 90 % of the rolled-out cycles",
             *([f"left out: {self.unknown} executions with a task that was never logged"] if self.unknown else []),
             *self.trends,
         ]
         for shift in self.drift or ():
             how = (
-                f"CHANGED by {shift.change:+.0%} (train again on the newer logs)" if shift.changed else "no change seen"
+                f"CHANGED by {signed_percent(shift.change)} (train again on the newer logs)"
+                if shift.changed
+                else "no change seen"
             )
-            lines.append(f"durations of {shift.agent} since the training: {how}, {shift.z:+.1f} standard errors")
+            lines.append(f"durations of {shift.agent} since the training: {how}, {signed(shift.z, 1)} standard errors")
         return lines
 
     def said(self) -> str:

@@ -24,6 +24,7 @@ from cyclekit.learning.networks.saved import MODEL_VERSION
 from cyclekit.learning.unseen.hidden import fit, log_likelihoods, of_levels
 from cyclekit.learning.unseen.model import UnseenOperator, courses_of, nearest, side_by_side
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,7 +97,7 @@ def _usable(dataset: Dataset) -> tuple[tuple[float, ...], dict[str, Course]]:
     other = {one.execution for one in dataset.card.executions if one.reference or one.interrupted_s}
     courses = {name: one for name, one in courses.items() if name not in other and (one.level >= 0).any()}
     if len(levels) < 2:
-        msg = f"{dataset.path}: the speed scaling is {levels[0] if levels else 1.0:.2f} everywhere"
+        msg = f"{dataset.path}: the speed scaling is {fixed(levels[0] if levels else 1.0, 2)} everywhere"
         raise DatasetError(msg, cure="Log executions in which the operator is near enough to slow the robot.")
     if len(courses) < MIN_EXECUTIONS:
         msg = f"{dataset.path}: {len(courses)} usable execution(s); at least {MIN_EXECUTIONS} are needed"

@@ -12,6 +12,7 @@ import polars as pl
 from cyclekit.dataset.cards import TrainingCard, plain
 from cyclekit.learning.labelling import commanded_in_time, follows_late, need_scaling, staircase_of, without_slider
 from cyclekit.learning.unseen.hidden import Chain, LevelCourses, draw_states
+from cyclekit.text.numbers import fixed, percent
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class UnseenOperator(Result):
     def states(self) -> tuple[str, ...]:
         """Names of the states, with the mean speed of the robot in each."""
         mean = (self._shares @ np.array(self.levels)).mean(axis=1)
-        return tuple(f"hidden state {number + 1} (mean speed {speed:.0%})" for number, speed in enumerate(mean))
+        return tuple(f"hidden state {number + 1} (mean speed {percent(speed)})" for number, speed in enumerate(mean))
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the mean scaling for rows x_r, x_h, shape (N, 6), m; shape (N,). Only x_r is used."""
@@ -185,7 +186,7 @@ class UnseenOperator(Result):
 
 def said(model: UnseenOperator) -> list[str]:
     """Return a description of the model in sentences."""
-    levels = ", ".join(f"{level:.2f}" for level in model.levels)
+    levels = ", ".join(fixed(level, 2) for level in model.levels)
     places = len(model.unseen.regions_m)
     where = f"by {places} regions of the robot" if places > 1 else "wherever the robot is"
     return [

@@ -96,9 +96,8 @@ const tomlOf = () => {
   return `${lines.join("\n")}\n`;
 };
 
-const fixed = (seconds) => seconds.toFixed(1);
 const apartFrom = (value, before) => {
-  const by = fixed(value) - fixed(before); // as both are shown
+  const by = shownApart(value, before); // as both are shown
   if (Math.abs(by) < 0.05) return say("same");
   return say(by < 0 ? "shorter" : "longer", { by: fixed(Math.abs(by)) });
 };
@@ -108,8 +107,8 @@ const waitsOf = (entry, agent) => entry.tasks.filter((task) => (task.asked || ta
 const showNumbers = (entry, before) => {
   const known = !entry.unknown;
   part("mean").textContent = known ? say("seconds", { value: fixed(entry.expected_s) }) : say("not_known");
-  const interval = known ? say("interval", { low: fixed(entry.low_s), high: fixed(entry.high_s) }) : entry.unknown;
-  part("interval").textContent = interval;
+  const around = known ? interval(entry.low_s, entry.high_s) : entry.unknown;
+  part("interval").textContent = around;
   part("change").textContent = known && !before.unknown ? apartFrom(entry.expected_s, before.expected_s) : "";
   const [low, , high] = known ? entry.quantiles_s : [];
   const told = {

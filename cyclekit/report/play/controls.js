@@ -193,13 +193,13 @@ const slider = (label, bounds, step, start, tell, set) => {
   reset();
 };
 
-const times = (by) => say("times", { value: by.toFixed(2) });
+const times = (by) => say("times", { value: fixed(by, 2) });
 const AT_ONCE = 1.01; // behind 10 per s, on a logarithmic scale
 const ofSafety = () => { // thresholds, zones, and how s recovers
   facts.rule.moves.forEach((each, index) => {
-    const level = percent(each.level);
+    const level = percent(each.level, 0);
     const label = say(each.kind === "zone" ? "zone" : "threshold", { level });
-    const tell = (by) => say("metres", { value: (each.value + by).toFixed(2) });
+    const tell = (by) => say("metres", { value: fixed(each.value + by, 2) });
     const bounds = each.bounds.map((bound) => bound - each.value);
     const [low, high] = [Math.ceil(bounds[0] * 100 - NOTHING) / 100, Math.floor(bounds[1] * 100 + NOTHING) / 100];
     slider(label, [low, high], 0.01, 0, tell, (by) => { state.asked.moved[index] = by || 0; });
@@ -207,7 +207,7 @@ const ofSafety = () => { // thresholds, zones, and how s recovers
   const logged = facts.dynamics.ramp_up_per_s;
   const start = logged ? Math.round(Math.log10(Math.min(logged, 10)) * 100) / 100 : AT_ONCE;
   const rate = (at) => (at > 1.005 ? Infinity : 10 ** at);
-  const tell = (at) => (at > 1.005 ? say("at_once") : say("per_s", { value: Math.round(100 * (at === start ? logged : 10 ** at)) }));
+  const tell = (at) => (at > 1.005 ? say("at_once") : say("per_s", { value: fixed(100 * (at === start ? logged : 10 ** at), 0) }));
   slider(say("recovery"), [-1.5, AT_ONCE], 0.01, start, tell, (at) => { state.asked.ramp = at === null ? null : rate(at); });
 };
 const waitSwitches = (names) => { // waits that nobody has to wait any more

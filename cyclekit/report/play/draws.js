@@ -131,7 +131,7 @@ const sharedOf = (walks = !facts.common.work) => { // Levels.shared
 };
 const levelsAlike = (key, turn, share, walks = false) => { // Levels.alike
   if (!share) return levelsOf(key, turn);
-  const name = `${turn} ${key} ${share.toFixed(6)} ${walks}`;
+  const name = `${turn} ${key} ${fixed(share, 6)} ${walks}`;
   if (!LEVELS.has(name)) {
     const shared = sharedOf(walks);
     const scores = scoresOf(key, turn).map((score, n) => share * shared[n] + Math.sqrt(1 - share ** 2) * score);

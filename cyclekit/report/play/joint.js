@@ -174,7 +174,7 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
   const durations = Float64Array.from({ length: facts.cycles }, (_, n) => cycles[n % cycles.length].duration_s * factor);
   const scores = tables.shifts && sharedOf();
   const shared = scores && durations.map((_, n) => scores[cycles[n % cycles.length].cycle]);
-  const [expected, single] = [mean(durations), singleOfBoth(durations)];
+  const [expected, single, more] = [mean(durations), singleOfBoth(durations), repeatsIn_s({ robot: robot.map((name) => name.split("->").pop()) })];
   const spread = sorted(inDraws(durations, shared).map((value, row) => value * (1 + error * tables.errors[row])));
   const tell = (start_s, end_s, wait_s) => ({
     start_s: factor * mean(start_s), end_s: factor * mean(end_s), wait_s: factor * mean(wait_s),
@@ -188,10 +188,11 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
     expected_s: expected,
     durations_s: durations,
     single,
+    more,
     shared,
     low_s: quantile(spread, 0.025) - bias * expected,
-    high_s: quantile(spread, 0.975) + bias * expected,
-    quantiles_s: bandOf(single, [0.05, 0.5, 0.95]),
+    high_s: quantile(spread, 0.975) + bias * expected + more,
+    quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(shifted(sorted(single), 0, more), level, true)),
     safety_s: shares.reduce((sum, share) => sum + share.lost_s, 0),
     support: looks ? knownLooks / looks : null,
     tasks: [...mine.map((span) => ({ ...span, share: shares[span.task] })), ...theirs],
@@ -206,7 +207,7 @@ const withinOfBoth = (entry, takt_s) => {
   TAKTS.set(entry, [takt_s, within]);
   return within;
 };
-const sharesWithin = ({ single: durations, shared }, takt_s) => {
+const sharesWithin = ({ single: durations, shared, more }, takt_s) => {
   const { doubted_bias: bias, model_error: error } = facts.check;
   const { first, which } = tables.few; // set for the interval of the mean
   const order = Array.from(durations.keys()).sort((a, b) => durations[a] - durations[b]);
@@ -214,8 +215,8 @@ const sharesWithin = ({ single: durations, shared }, takt_s) => {
   const slope = [0]; // of the share with what durations share, up to each cycle: answer.with_sessions
   if (shared) order.forEach((n, at) => slope.push(slope[at] + (shared[n] - middle) / durations.length));
   const lengths = order.map((n) => durations[n]);
-  const drawn = (by) => sorted(Float64Array.from(tables.errors, (off, row) => {
-    const longest = takt_s / ((1 + by) * Math.max(1 + error * off, 1e-9));
+  const drawn = (by, within_s) => sorted(Float64Array.from(tables.errors, (off, row) => {
+    const longest = within_s / ((1 + by) * Math.max(1 + error * off, 1e-9));
     let [sum, count] = [0, 0];
     for (let at = first[row]; at < first[row + 1]; at += 1) {
       const times = tables.drawn[row * facts.cycles + which[at]];
@@ -224,7 +225,8 @@ const sharesWithin = ({ single: durations, shared }, takt_s) => {
     }
     return sum / count + (shared ? tables.shifts[row] * slope[upTo(lengths, longest)] : 0);
   }));
-  return leastWide([shareUpTo(lengths, takt_s), quantile(drawn(bias), 0.025), quantile(drawn(-bias), 0.975)]);
+  const bounds = [quantile(drawn(bias, takt_s - more), 0.025), quantile(drawn(-bias, takt_s), 0.975)];
+  return leastWide([shareUpTo(shifted(lengths, 0, more), takt_s), ...bounds]);
 };
 
 const answerBoth = (asked_for, asked, takt_s, deadline = Infinity) => {

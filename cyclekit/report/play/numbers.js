@@ -38,6 +38,12 @@ const shifted = (ordered, less, more) => { // CycleDistribution.shifted
   return ordered.map((value) => value + (value < middle ? less : value > middle ? more : 0));
 };
 
+const repeatsIn_s = (orders) => facts.repeats.reduce((sum, { agent, name, share, took_s }) => { // repeats.with_repeats
+  const order = orders[agent] || [];
+  const itself = order.some((each, n) => each === name && order[n + 1] === name);
+  return itself ? sum : sum + order.filter((each) => each === name).length * share * took_s;
+}, 0);
+
 const inResamples = (values, which) => { // the mean of the values of these tracks in each resample of the executions
   const executions = tables.drawn.length / tables.errors.length;
   const sum = new Float64Array(executions);
@@ -158,7 +164,8 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
   const lost = cycles.loss_s.reduce((sum, value) => sum + value, 0);
   const slower = lost > 0 ? Math.max(1 + ((means.factor - 1) * mean(cycles.duration_s)) / lost, 0) : 1;
   const nominal = legs.reduce((sum, leg) => sum + leg.nominal_s, 0);
-  const [less, more] = widthOf(legs);
+  const [less, ofWork] = widthOf(legs);
+  const more = ofWork + repeatsIn_s({ robot: legs.map((leg) => leg.name.split("->")[1]) });
   const single = shifted(sorted(alone), less, more);
   const stands = cycles.stand_s.reduce((sum, value) => sum + value, 0);
   const stretch = stands > 0 ? (expected - nominal - lost * slower) / stands : 0;
@@ -251,4 +258,20 @@ const answer = (places, asked, takt_s, deadline = Infinity) => {
 };
 const labelled = (place) => facts.labels[place] || place;
 const shown = (task) => task.split("->").map(labelled).join(" \u2192 ");
-const percent = (share) => `${Math.round(share * 100)}\u00a0%`;
+
+// ---- numbers as text, like `cyclekit.text.numbers`; no other part of the script rounds what people read
+
+const fixed = (value, decimals = 1) => { // no minus before a zero
+  const text = Math.abs(value).toFixed(decimals);
+  return value < 0 && Number(text) ? `\u2212${text}` : text;
+};
+const shownApart = (value, other) => Number(value.toFixed(1)) - Number(other.toFixed(1)); // `difference`
+const percent = (share, decimals = 0 < share && share < 0.0995 ? 1 : 0) => { // only 0 shows as 0 %, and only 1 as 100 %
+  const least = 10 ** -decimals;
+  let text = fixed(100 * share, decimals);
+  if (share < 1 && Number(text) === 100) text = `over ${fixed(100 - least, decimals)}`;
+  if (share > 0 && Number(text) === 0) text = `under ${fixed(least, decimals)}`;
+  return `${text}\u00a0%`;
+};
+const interval = (low, high) => say(...(fixed(low) === fixed(high) // never two equal ends
+  ? ["narrow", { value: fixed(0.1) }] : ["interval", { low: fixed(low), high: fixed(high) }]));

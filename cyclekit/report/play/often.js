@@ -45,7 +45,7 @@ const asOften = (frequency, away, samples) => {
   const share = gone / own;
   const stretch = share > 0 ? (1 / frequency - (1 - share)) / share : 0;
   if (share < 0.02 || stretch <= 0) {
-    return { unknown: say("too_often", { most: (1 / Math.max(1 - share, NOTHING)).toFixed(2) }) };
+    return { unknown: say("too_often", { most: fixed(1 / Math.max(1 - share, NOTHING), 2) }) };
   }
   const at = new Int32Array(COUNT * samples);
   const logged = new Int32Array(COUNT);

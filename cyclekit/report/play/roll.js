@@ -270,12 +270,16 @@ const entryOfList = (tasks, rolled, asked) => {
   const paceError = paceErrorOf(tasks, asked, usual);
   error = Math.hypot(error, paceError);
   const single = singleOf(durations.map((value) => value * factor), paceError);
-  const ordered = sorted(single);
+  const orders = {};
+  for (const task of tasks) (orders[task.agent] = orders[task.agent] || []).push(task.name);
+  const more = repeatsIn_s(orders);
+  const ordered = shifted(sorted(single), 0, more);
   return {
     expected_s: expected,
     durations_s: single,
+    more,
     low_s: expected * (1 - sure * error),
-    high_s: expected * (1 + sure * error),
+    high_s: expected * (1 + sure * error) + more,
     quantiles_s: [0.05, 0.5, 0.95].map((level) => quantile(ordered, level, true)),
     tasks: tasks.map((task, n) => {
       const from = (values) => values.map((value, cycle) => value - began[cycle]);
@@ -303,7 +307,7 @@ const answerList = (tasks, asked, takt_s) => {
   });
   if (entry.unknown) return entry;
   const ordered = sorted(entry.durations_s);
-  const by = entry.high_s / entry.expected_s - 1;
-  const shares = [by, -by].map((off) => upTo(ordered, takt_s / (1 + off)) / ordered.length);
-  return { ...entry, takt: takt_s > 0 ? leastWide([shareUpTo(ordered, takt_s), ...shares]) : null };
+  const by = 1 - entry.low_s / entry.expected_s;
+  const shares = [[by, takt_s - entry.more], [-by, takt_s]].map(([off, until_s]) => upTo(ordered, until_s / (1 + off)) / ordered.length);
+  return { ...entry, takt: takt_s > 0 ? leastWide([shareUpTo(shifted(ordered, 0, entry.more), takt_s), ...shares]) : null };
 };

@@ -13,6 +13,7 @@ import numpy as np
 from cyclekit.estimate.cycle.spread import logged_support
 from cyclekit.estimate.cycle.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 from cyclekit.estimate.operator.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.repeats import robot_repeats
 from cyclekit.estimate.robot.nominal import STEP_S, nominal_tasks
 from cyclekit.estimate.robot.program import standstills_of
 from cyclekit.estimate.robot.safety import Dynamics, OnStates, SafetyModel, at_once, is_fast
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.robot.nominal import NominalTask
     from cyclekit.estimate.robot.work_dwells import Group
     from cyclekit.estimate.validation.check import Check
+    from cyclekit.learning.repeats import Repeated
     from cyclekit.report.inputs import PageInputs
     from cyclekit.schema import Floats
 
@@ -124,7 +126,15 @@ def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: 
         "follows": not at_once(model, dynamics),
         "often": is_fast(model),
         "away": {"part": AWAY, "points": LOOKED_AT},
+        "repeats": repeats_told(robot_repeats(dataset)),
     }
+
+
+def repeats_told(repeats: Sequence[Repeated]) -> list[dict[str, Any]]:
+    """Return what the logs repeat: how many repetitions a visit has, and how long one takes."""
+    return [
+        {"agent": one.agent, "name": one.name, "share": one.times / one.visits, "took_s": one.took_s} for one in repeats
+    ]
 
 
 def scaling_source(

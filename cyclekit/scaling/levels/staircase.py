@@ -29,6 +29,7 @@ from cyclekit.scaling.levels.clusters import (
 from cyclekit.scaling.levels.kmeans import by_silhouette, condense
 from cyclekit.scaling.levels.labels import label_in_time, unbroken
 from cyclekit.scaling.levels.plateaus import Plateaus, find_plateaus
+from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -159,7 +160,7 @@ def _finish(values: Floats, stretch: Ints, plateaus: Plateaus, found: Cluster, s
     parts = plateaus.on_ramp / max(known, 1), plateaus.varied / max(known, 1)
     said, stairs = doubts(levels, share, found.spread, known=known, held=held, noise=plateaus.noise, slopes=parts)
     if slider is not None:
-        each = ", ".join(f"{value:.2f}" for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
+        each = ", ".join(fixed(value, 2) for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
         said.append(note("levels-with-slider", sliders=each))
     return Staircase(levels, labels, share, tuple(said), found.value, slider, plateaus.noise, stairs)
 
@@ -210,7 +211,7 @@ def doubts(
     if levels.size > _MANY_LEVELS:
         said.append(note("levels-many", levels=int(levels.size)))
         stairs = False
-    wide = [f"{value:.2f}" for value, width in zip(levels, spread, strict=True) if width > _WIDE]
+    wide = [fixed(value, 2) for value, width in zip(levels, spread, strict=True) if width > _WIDE]
     if wide:
         said.append(note("levels-wide", values=", ".join(wide)))
         stairs = False

@@ -14,6 +14,7 @@ from cyclekit.learning.coupling.events.visits import ExecutionVisits, PlaceVisit
 from cyclekit.learning.coupling.learn import learn_executions
 from cyclekit.learning.coupling.pace.pace import operator_pace, paces_beside
 from cyclekit.learning.coupling.words import habit_lines
+from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -82,7 +83,7 @@ def test_a_pace_that_changes_over_the_executions_is_found(size: int, count: int)
         factors = pace.factors()
         assert factors[f"{count - 1:03d}"] == (1.0, 1.0)
         assert factors["000"][0] == pytest.approx(1.0 / _quicker(count - 1, 0), abs=0.1)
-        assert f"became {pace.quicker:.0%} quicker over {count} executions" in pace.said
+        assert f"became {percent(pace.quicker)} quicker over {count} executions" in pace.said
 
 
 def test_slower_is_found_too_and_walks_have_a_trend_of_their_own() -> None:

@@ -13,11 +13,17 @@ Mover = Literal["people", "hand"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
 AlignClocks = Literal["coarse"]
 """How clocks that nothing relates are aligned: `coarse` = by the robot's slow-downs, also in doubt."""
-Number = Annotated[float, Meta(ge=-1e15, le=1e15)]
-"""Range of numbers in a cell file; excludes NaN and infinity."""
-Positive = Annotated[float, Meta(gt=0.0, le=1e15)]
-Rate = Annotated[float, Meta(gt=0.0, le=1e6)]
-"""A sampling rate, 1/s."""
+FARTHEST_M = 1e7
+"""Farthest coordinate, m: the pole in the coordinates of a survey (the metre was made for that)."""
+Number = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
+"""A coordinate, m, or an angle, deg; excludes NaN and infinity."""
+Positive = Annotated[float, Meta(gt=0.0, le=FARTHEST_M)]
+Offset = Annotated[float, Meta(ge=-1e11, le=1e11)]
+"""Difference of two clocks, s: three thousand years, as some count from 1601."""
+Rate = Annotated[float, Meta(ge=1e-3, le=1e6)]
+"""Rate of a log, 1/s."""
+SampleRate = Annotated[float, Meta(ge=0.1, le=1000.0)]
+"""Rate of the samples, 1/s; the networks of the paper have 10."""
 Levels = Annotated[tuple[Annotated[float, Meta(ge=0.0, le=1.0)], ...], Meta(examples=[[0.0, 0.5, 1.0]])]
 Point = Annotated[tuple[Number, Number, Number], Meta(examples=[[0.0, 0.0, 0.0]])]
 Matrix = tuple[Point, Point, Point]
@@ -80,10 +86,10 @@ class Source:
     path: str
     adapter: str | None = None
     role: Role | None = None
-    clock_offset_s: Number | None = None
+    clock_offset_s: Offset | None = None
     clock_rate: Annotated[float, Meta(ge=0.1, le=10.0)] = 1.0
     sync: Sync | None = None
-    sync_events: Annotated[tuple[tuple[Number, Number], ...], Meta(examples=[[[1.5, 101.5]]])] = ()
+    sync_events: Annotated[tuple[tuple[Offset, Offset], ...], Meta(examples=[[[1.5, 101.5]]])] = ()
     sees: Literal["tcp"] | None = None
     sees_as: str | None = None
     same_clock_as: str | None = None
@@ -251,7 +257,7 @@ class Cell:
     furniture: Mapping[str, Furniture] = field(default_factory=dict)
     executions: Executions = field(default_factory=Executions)
     waits: tuple[Wait, ...] = ()
-    rate_hz: Rate = 10.0
+    rate_hz: SampleRate = 10.0
     bridge_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.3
     levels: Levels = ()
     set_override: Mover | None = None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.config.toml_file import read_toml, refuse_twice, require_list, to_dataclass
 from cyclekit.errors import ConfigError
+from cyclekit.text.durations import LONGEST_S
 from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ _EXAMPLE = """Add one:
 NOT_ITSELF = "Name another task of the plan in after, or leave it out."
 PLAN = "plan"
 """First entry of the places of a plan for robot and operator."""
-MAX_S, EARLY_S = 1e7, 1e-3
-"""Maximum length of a plan, s; tolerance for a start slightly below zero, s."""
+EARLY_S = 1e-3
+"""Tolerance for a start slightly below zero, s."""
 MOST_ALLOWED = 2.0
 """Maximum allowance: an order that is chosen for half of its cycle time by chance alone is no answer."""
 
@@ -164,7 +165,7 @@ def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
         msg = f"{where}: [[sequence.task]] together with places, tasks or operator"
         raise ConfigError(msg, cure="Write either: a plan names the tasks of both agents itself.")
     for task in entry.task:
-        if task.not_before_s is not None and not -EARLY_S <= task.not_before_s < MAX_S:
+        if task.not_before_s is not None and not -EARLY_S <= task.not_before_s < LONGEST_S:
             msg = f"{where}: not_before_s = {task.not_before_s} of {task.name!r} is not a time since the cycle's start"
             raise ConfigError(msg, cure="Give seconds after the start of the cycle, 0 or more.")
     plan = [

@@ -55,8 +55,8 @@ class FleetCell:
     checksums: bool = True
     follow_links: bool = False
     align_clocks: AlignClocks | None = None
-    seed: Annotated[int, Meta(ge=0)] = 0
-    epochs: Annotated[int, Meta(ge=1)] | None = None
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 0
+    epochs: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None
 
     @property
     def dataset(self) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 
+LONGEST_S = 1e7
+"""Longest duration, s: four months, a limit of what can be a cycle or a takt time."""
 _UNITS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
 _PART = re.compile(r"\s*((?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?)\s*(ms|min|s|h)?(?![a-z.])", re.ASCII)
 
@@ -26,7 +28,7 @@ def seconds_in(text: str) -> float:
             msg = f"{text!r} is not a duration; write it as 14s, 1min 45s, 0.5min or 500ms"
             raise ValueError(msg)
         total, last, at = total + float(part[1]) * unit, unit, part.end()
-    if not 0 < total < math.inf:
-        msg = f"{text!r} is not a positive duration"
+    if not 0 < total <= LONGEST_S:
+        msg = f"{text!r} is not a positive duration of at most {LONGEST_S:g} s"
         raise ValueError(msg)
     return total

@@ -262,7 +262,7 @@ SOURCE = st.builds(
     role=st.sampled_from([None, "robot", "people", "events"]),
     frame=st.none() | st.builds(Frame, POINT, YAW),
     body=st.none() | TEXT,
-    rate_hz=st.none() | POSITIVE,
+    rate_hz=st.none() | st.floats(1e-3, 1e6),
     map=st.dictionaries(TEXT, TEXT | st.booleans() | st.lists(TEXT, max_size=2), max_size=2),
 )
 CELL = st.builds(
@@ -284,7 +284,7 @@ CELL = st.builds(
         bit=st.integers(0, 62),
     )
     | st.builds(Executions, begin=st.just("signal"), signal=TEXT.filter(bool)),
-    rate_hz=POSITIVE,
+    rate_hz=st.floats(0.1, 1000),
     bridge_s=st.floats(0, 3600),
     goal_signals=st.lists(TEXT, max_size=2).map(tuple),
     accept_bad_logs=st.booleans(),

@@ -21,7 +21,7 @@ from cyclekit.fleet import load_fleet
 Load = Callable[[Path], object]
 
 SLIPS: list[tuple[Load, str, str, str]] = [
-    (load_cell, "", "rate_hz = 0", "rate_hz = 0: expected a number > 0"),
+    (load_cell, "", "rate_hz = 0", "rate_hz = 0: expected a number >= 0.1"),
     (load_cell, "", 'ignore = "truth/*"', "ignore must be a list"),
     (load_cell, "", "levels = [0, 50]", "levels[1] = [0, 50]: expected a number <= 1.0"),
     (

@@ -9,6 +9,7 @@ work and, for each condition, the event plus the lag of that condition.
 from __future__ import annotations
 
 from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -42,10 +43,10 @@ class Turns(NamedTuple):
         event_every, event_first: Events event_first, event_first + event_every, ... are counted.
     """
 
-    every: int = 1
-    first: int = 0
-    event_every: int = 1
-    event_first: int = 0
+    every: Annotated[int, Meta(ge=1, le=100)] = 1
+    first: Turn = 0
+    event_every: Annotated[int, Meta(ge=1, le=100)] = 1
+    event_first: Turn = 0
 
     def event(self, passage: int, back: int) -> int | None:
         """Return the number of the event that a passage needs, both from 0; None = it needs none."""
@@ -53,7 +54,23 @@ class Turns(NamedTuple):
         return (turn - back) * self.event_every + self.event_first if rest == self.first and turn >= back else None
 
 
-class ConditionCard(Card, frozen=True, kw_only=True):
+class _InOrder(Card, frozen=True, kw_only=True):
+    """A card whose distributions are ascending."""
+
+    def __post_init__(self) -> None:
+        """Refuse quantiles that are not ascending.
+
+        Raises:
+            ValueError: They are not.
+        """
+        for name in ("lag_s", "own_s", "gap_s", "first_s", "late_s"):
+            values = getattr(self, name, ())
+            if any(a > b for a, b in pairwise(values)):
+                msg = f"{name} must be ascending, as quantiles are"
+                raise ValueError(msg)
+
+
+class ConditionCard(_InOrder, frozen=True, kw_only=True):
     """An event that must have occurred.
 
     Attributes:
@@ -109,7 +126,7 @@ def refuse_circles(needs: Mapping[tuple[str, ...], Iterable[tuple[str, ...]]]) -
         raise ValueError(msg) from None
 
 
-class OwnWorkCard(Card, frozen=True, kw_only=True):
+class OwnWorkCard(_InOrder, frozen=True, kw_only=True):
     """Own work of the operator at a place, where it depends on the place that he goes to next or came from.
 
     Attributes:
@@ -123,7 +140,7 @@ class OwnWorkCard(Card, frozen=True, kw_only=True):
     own_s: Quantiles
 
 
-class TripCard(Card, frozen=True, kw_only=True):
+class TripCard(_InOrder, frozen=True, kw_only=True):
     """Trips that the operator makes from a gate, mostly while he waits there, such as to fetch material.
 
     He goes on when the conditions of the gate hold and he is back. If they hold before he is, he may turn round or come
@@ -148,7 +165,7 @@ class TripCard(Card, frozen=True, kw_only=True):
     seen: Count = 0
 
 
-class GateCard(Card, frozen=True, kw_only=True):
+class GateCard(_InOrder, frozen=True, kw_only=True):
     """A point where an agent may have to wait.
 
     Attributes:
@@ -193,7 +210,7 @@ class GateCard(Card, frozen=True, kw_only=True):
         return replace(self, own_s=tuple(pace * seconds for seconds in self.own_s), own_by=by)
 
 
-class SourceCard(Card, frozen=True, kw_only=True):
+class SourceCard(_InOrder, frozen=True, kw_only=True):
     """A signal that neither agent sets, such as the arrival of parts on a conveyor.
 
     Attributes:
@@ -229,7 +246,7 @@ class SourceCard(Card, frozen=True, kw_only=True):
         return "arrives" if self.inferred else self.event
 
 
-class InTurnCard(Card, frozen=True, kw_only=True):
+class InTurnCard(_InOrder, frozen=True, kw_only=True):
     """Several signals that one operator gives, one after the other: he serves the places where the robot brings parts.
 
     The k-th signal of a place comes after the robot has brought the k-th part there (`SourceCard.after`), and after
@@ -261,9 +278,9 @@ class TrendCard(Card, frozen=True, kw_only=True):
     """
 
     change: Annotated[float, Meta(ge=-5.0, le=5.0)]
-    settles: Annotated[float, Meta(gt=0.0)] | None = None
+    settles: Annotated[float, Meta(ge=1e-3, le=1e9)] | None = None
     count: Count
-    error: Annotated[float, Meta(ge=0.0)] = 0.0
+    error: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
     chance: Fraction = 0.0
 
     def passed(self, number: Ints) -> Vector:

@@ -14,16 +14,18 @@ from cyclekit.dataset.cards.quantities import (
     Card,
     Count,
     Digest,
-    Duration,
     Fraction,
     Hertz,
+    Lag,
     Length,
+    Measure,
     Name,
     Point,
     Ramp,
     Scaling,
     Seconds,
     SignedDelay,
+    Work,
     ascending,
 )
 from cyclekit.dataset.cards.read import checked
@@ -112,9 +114,9 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
     hysteresis_m: Length | None = None
     changes: Count = 0
     spread_m: Length | None = None
-    hold_s: Seconds | None = None
-    ramp_down_se_per_s: float | None = None
-    ramp_up_se_per_s: float | None = None
+    hold_s: Lag | None = None
+    ramp_down_se_per_s: Measure | None = None
+    ramp_up_se_per_s: Measure | None = None
 
 
 class OperatorSignalCard(Card, frozen=True, kw_only=True):
@@ -139,8 +141,8 @@ class OperatorSignalCard(Card, frozen=True, kw_only=True):
     occupied: str
     reset: Name | None = None
     reset_at: str = ""
-    delay_s: Duration = 0.0
-    hold_s: Duration | None = None
+    delay_s: Work = 0.0
+    hold_s: Work | None = None
     explained: Fraction = 0.0
     told: bool = False
 
@@ -160,7 +162,7 @@ class FileCard(Card, frozen=True, kw_only=True):
 
     size: Count
     blake3: tuple[Digest, ...]
-    piece_bytes: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    piece_bytes: Annotated[int, msgspec.Meta(ge=1, le=2**40)] | None = None
 
 
 class DatasetCard(Card, frozen=True, kw_only=True):
@@ -192,7 +194,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
         card_blake3: Checksum of this card; None in cards of earlier versions.
     """
 
-    schema_version: int
+    schema_version: Count
     cyclekit_version: str = "unknown"
     name: str
     fingerprint: str = ""

@@ -7,7 +7,7 @@ from typing import Literal
 
 from msgspec import field
 
-from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction
+from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Measure
 
 
 class StageCard(Card, frozen=True, kw_only=True):
@@ -24,7 +24,7 @@ class MonthCard(Card, frozen=True, kw_only=True):
     month: date
     executions: Count
     cycle_s: Duration
-    lost_share: float | None = None
+    lost_share: Measure | None = None
 
 
 class FiguresCard(Card, frozen=True, kw_only=True):
@@ -47,8 +47,8 @@ class FiguresCard(Card, frozen=True, kw_only=True):
 
     executions: Count | None = None
     cycle_s: Duration | None = None
-    lost_s: float | None = None
-    lost_share: float | None = None
+    lost_s: Measure | None = None
+    lost_share: Measure | None = None
     newest: date | None = None
     set_aside_share: Fraction | None = None
     safety_changed: bool | None = None

@@ -14,11 +14,14 @@ from cyclekit.dataset.cards.quantities import (
     Card,
     Count,
     Digest,
-    Duration,
     Fraction,
     Hertz,
+    Length,
+    Measure,
+    Metres,
     Positive,
     Scaling,
+    Work,
     ascending,
 )
 from cyclekit.dataset.cards.read import checked, plain
@@ -77,15 +80,15 @@ class EpochCard(Card, frozen=True, kw_only=True):
     """One pass over the training samples: mean loss, and error on the validation samples."""
 
     epoch: Count
-    loss: float
-    validation_mse: float
+    loss: Measure
+    validation_mse: Measure
 
 
 class StandardisationCard(Card, frozen=True, kw_only=True):
     """Mean of each input, m, and the factor on deviations from it, 1/m."""
 
-    mean_m: tuple[float, ...]
-    scale_1_m: tuple[float, ...]
+    mean_m: tuple[Measure, ...]
+    scale_1_m: tuple[Measure, ...]
 
 
 class RowsCard(Card, frozen=True, kw_only=True):
@@ -101,25 +104,25 @@ class SpecCard(Card, frozen=True, kw_only=True):
 
     problem: str
     network: str
-    horizon_s: Duration
+    horizon_s: Work
     hidden: tuple[Positive, ...] = ()
     norm: str = "batch"
     seed: Count = 0
     epochs: Positive | None = None
     batch: Positive = 1024
-    learning_rate: float = 6e-3
+    learning_rate: Measure = 6e-3
     test_fraction: Fraction = 0.2
     validation_fraction: Fraction = 0.1
     freeze_norm_after: Fraction | None = None
-    weight_decay: float | None = None
+    weight_decay: Measure | None = None
     patience: Positive | None = None
-    noise_m: float = 0.0
+    noise_m: Length = 0.0
     optimiser: str = "auto"
     features: str = "positions"
     target: str = "logged"
     balance: str = "none"
     history: tuple[Samples, Samples] = (1, 1)
-    forecast_weight: float = 0.02
+    forecast_weight: Measure = 0.02
     centre: bool = True
 
 
@@ -134,9 +137,9 @@ class CellCard(Card, frozen=True, kw_only=True):
     """
 
     name: str = ""
-    places: dict[str, tuple[float, float, float, float, bool]] = field(default_factory=dict)
-    levels: tuple[float, ...] = ()
-    logs: dict[str, Annotated[tuple[float, ...], Meta(min_length=12, max_length=12)] | None] = field(
+    places: dict[str, tuple[Metres, Metres, Metres, Length, bool]] = field(default_factory=dict)
+    levels: tuple[Scaling, ...] = ()
+    logs: dict[str, Annotated[tuple[Metres, ...], Meta(min_length=12, max_length=12)] | None] = field(
         default_factory=dict
     )
 
@@ -164,12 +167,12 @@ class TrainingCard(Card, frozen=True, kw_only=True):
     """
 
     cyclekit: str | None = None
-    schema_version: int | None = None
-    model_version: int | None = None
+    schema_version: Count | None = None
+    model_version: Count | None = None
     spec: SpecCard | None = None
     problem: str | None = None
     network: str | None = None
-    horizon_s: Duration | None = None
+    horizon_s: Work | None = None
     seed: Count | None = None
     dataset: str | None = None
     dataset_sha256: str | None = None
@@ -178,7 +181,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
     levels: tuple[LevelShare, ...] | None = None
     warnings: tuple[Note, ...] = ()
     rate_hz: Hertz | None = None
-    temperature: float | None = None
+    temperature: Annotated[float, Meta(ge=1e-6, le=1e6)] | None = None
     may_be_unknown: tuple[str, ...] = ()
     scaling_without_operator: Scaling | None = None
     mean_scaling: Scaling | None = None
@@ -222,8 +225,8 @@ class ModelCard(Card, frozen=True, kw_only=True):
     """
 
     format: Literal["cyclekit-model"]
-    model_version: int
-    schema_version: int
+    model_version: Count
+    schema_version: Count
     problem: str
     network: str
     horizon_s: Annotated[float, Meta(ge=0.0, le=1e6)]

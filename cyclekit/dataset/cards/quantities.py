@@ -11,6 +11,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from cyclekit.config.cells import FARTHEST_M
+
 Seconds = Annotated[float, Meta(ge=-1e19, le=1e19)]
 """A time or a difference of times, s; the limit allows nanoseconds that were read as seconds."""
 Duration = Annotated[float, Meta(ge=0.0, le=1e19)]
@@ -31,10 +33,12 @@ SignedDelay = Annotated[float, Meta(ge=-LONGEST_DELAY_S, le=LONGEST_DELAY_S)]
 """The same as measured, s; negative if a clock is off."""
 Ramp = Annotated[float, Meta(ge=SLOWEST_RAMP, le=1e6)]
 """A rate of change of the scaling, 1/s."""
-Metres = Annotated[float, Meta(ge=-1e15, le=1e15)]
+Metres = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
 """A coordinate, m."""
-Length = Annotated[float, Meta(ge=0.0, le=1e15)]
+Length = Annotated[float, Meta(ge=0.0, le=2.0 * FARTHEST_M)]
 """A distance, radius or size, m."""
+Measure = Annotated[float, Meta(ge=-1e15, le=1e15)]
+"""A number that nothing is computed from but figures, or of a network."""
 Hertz = Annotated[float, Meta(gt=0.0, le=1e6)]
 """A sampling rate, 1/s."""
 Scaling = Annotated[float, Meta(ge=-0.5, le=1.5)]

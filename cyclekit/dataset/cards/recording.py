@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from cyclekit.dataset.cards.notes import Note, texts
-from cyclekit.dataset.cards.quantities import Card, Count, Digest, Duration, Name, Point, Rotation, Seconds
+from cyclekit.dataset.cards.quantities import Card, Count, Digest, Duration, Measure, Name, Point, Rotation, Seconds
 
 Table = Literal["robot", "people", "events", "task_list", "safety", "skeletons", "stamps"]
 """Tables that a log may have."""
@@ -73,8 +73,8 @@ class ClockCard(LogClock, frozen=True, kw_only=True):
     residual_s: Duration | None = None
     events: Count | None = None
     events_rejected: Count | None = None
-    correlation: float | None = None
-    second_best: float | None = None
+    correlation: Measure | None = None
+    second_best: Measure | None = None
     second_best_s: Seconds | None = None
     same_as: str | None = None
     warnings: tuple[Note, ...] = ()
@@ -179,7 +179,7 @@ class LogCard(Card, frozen=True, kw_only=True):
     first_s: Seconds
     last_s: Seconds
     duration_s: Duration
-    rate_hz: Annotated[float, Meta(gt=0.0)] | None
+    rate_hz: Annotated[float, Meta(gt=0.0, le=1e12)] | None
     warnings: tuple[Note, ...]
     facts: dict[str, str]
     key: str

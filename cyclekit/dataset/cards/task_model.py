@@ -181,7 +181,7 @@ class PaceCard(Card, frozen=True, kw_only=True):
     change: Error
     first: Count
     last: Count
-    error: Annotated[float, Meta(ge=0.0)] = 0.0
+    error: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
     chance: Fraction = 0.0
 
     def passed(self, number: Ints | int) -> Vector:
@@ -294,14 +294,14 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
                 if (agent, task) not in known:
                     msg = f"{one.agent}: {one.task} waits for {agent}: {task}, which is no task of the model"
                     raise ValueError(msg)
-        refuse_circles(
-            {
-                (f"{one.agent}:", one.task): [
-                    (f"{need.agent}:", need.task) for need in one.needs if need.back == 0 and need.needed == 1.0
-                ]
-                for one in self.tasks
-            }
-        )
+        needs: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
+        for one in self.tasks:  # its start needs the end of others, its end the start of the task that it ends with
+            name = (f"{one.agent}:", one.task)
+            first = [(f"{need.agent}:", need.task) for need in one.needs if need.back == 0 and need.needed == 1.0]
+            needs[name] = [("the end of", *other) for other in first]
+            joint = [(f"{one.joint.agent}:", one.joint.task)] if one.joint else []
+            needs["the end of", *name] = [name, *joint]
+        refuse_circles(needs)
 
     @property
     def notices(self) -> tuple[str, ...]:

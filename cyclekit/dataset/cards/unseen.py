@@ -7,7 +7,16 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from cyclekit.dataset.cards.model import TrainingCard
-from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Point, Scaling, ascending
+from cyclekit.dataset.cards.quantities import (
+    LONGEST_DELAY_S,
+    Card,
+    Count,
+    Duration,
+    Fraction,
+    Point,
+    Scaling,
+    ascending,
+)
 
 Shares = Annotated[tuple[Fraction, ...], Meta(min_length=1, max_length=64)]
 """Probabilities that sum to 1."""
@@ -32,7 +41,7 @@ class UnseenOperatorCard(Card, frozen=True, kw_only=True):
         executions: Number of training executions.
     """
 
-    step_s: Duration
+    step_s: Annotated[float, Meta(ge=1e-3, le=LONGEST_DELAY_S)]
     regions_m: Annotated[tuple[Point, ...], Meta(min_length=1, max_length=64)]
     start: Shares
     follows: States

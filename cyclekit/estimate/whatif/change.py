@@ -64,7 +64,7 @@ _DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
 FASTEST = 100
 """Maximum of factors in `faster` and `frequency`, whose minimum is 1 / FASTEST, and of counts in `buffer` and
 `more_places`."""
-FARTHEST_M = 1000.0
+LARGEST_M = 1000.0
 """Maximum of thresholds and hysteresis, m: beyond any hall, a limit of what can be."""
 _EXAMPLE = """Add one:
   [[change]]
@@ -228,7 +228,9 @@ class Change:
                 self._refuse(
                     f"{len(self.levels)} levels and {len(self.thresholds_m)} thresholds", "Give one threshold fewer."
                 )
-            if [*self.thresholds_m] != sorted(self.thresholds_m) or any(m > FARTHEST_M for m in self.thresholds_m):
+            if [*self.thresholds_m] != sorted(self.thresholds_m) or any(
+                not 0 <= m <= LARGEST_M for m in self.thresholds_m
+            ):
                 self._refuse(f"thresholds_m {list(self.thresholds_m)}", "Give them ascending, in metres.")
             if strange := [zone.level for zone in self.zones if zone.level not in self.levels]:
                 self._refuse(f"a zone has level {strange[0]}, which is not among levels", _CURE)
@@ -250,7 +252,7 @@ class Change:
 
     def _refuse_dynamics(self) -> None:
         for name, value in self.dynamics.items():
-            most = {"latency_s": LONGEST_DELAY_S, "hysteresis_m": FARTHEST_M}.get(name, math.inf)
+            most = {"latency_s": LONGEST_DELAY_S, "hysteresis_m": LARGEST_M}.get(name, math.inf)
             least = SLOWEST_RAMP if name.startswith("ramp_") else 0.0
             if not least <= value <= most:
                 cure = "inf means without a ramp." if name.startswith("ramp_") else ""

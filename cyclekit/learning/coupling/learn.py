@@ -235,7 +235,11 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait], pa
     held = {one.place for gate in gates for one in gate.conditions}
     in_turn, answers = find_in_turn(courses, find_sources(courses, gates))
     sources = (*answers, *(source for source in unseen if source.signal in held))
-    return CouplingCard(gates=gates, sources=sources, in_turn=in_turn, executions=len(courses))
+    try:
+        return CouplingCard(gates=gates, sources=sources, in_turn=in_turn, executions=len(courses))
+    except ValueError as error:
+        cure = "Take one of them out, or write back = 1 where the event before it is meant."
+        raise ConfigError(f"cell.toml [[waits]]: {error}: no execution could go on", cure=cure) from error
 
 
 def _unseen(gates: Sequence[Departures], given: Sequence[Wait], parts: UnseenParts) -> tuple[SourceCard, ...]:

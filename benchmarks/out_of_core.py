@@ -24,9 +24,9 @@ import polars as pl
 from rich.console import Console
 from rich.table import Table
 
+from cyclekit.api.train import Training, train_at
 from cyclekit.cli import run
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.learning.training import Training, train_at
 
 UNDER_A_LIMIT = """
 import resource, sys

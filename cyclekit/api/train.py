@@ -6,21 +6,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset, People
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
-from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model
+from cyclekit.estimate.joint.proven import with_proven_waits
+from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model, save_model
 from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.learning.task_times.learn import learn_task_times
 from cyclekit.learning.task_times.saved import TaskTimesModel, save_task_times
-from cyclekit.learning.training import Training, learns_unseen, need_torch, train, train_at
+from cyclekit.learning.training import learns_unseen, need_torch, train
 from cyclekit.learning.unseen.fit import learn_unseen
 from cyclekit.learning.unseen.model import UnseenOperator
-from cyclekit.learning.unseen.saved import holds_unseen, load_unseen
+from cyclekit.learning.unseen.saved import holds_unseen, load_unseen, save_unseen
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.storage.remote.folders import join
 
@@ -60,7 +63,7 @@ def train_model(
         opened = Dataset.of(dataset).by_people(people)
         if learns_unseen(opened, wanted):
             return learn_unseen(opened, seed=wanted.seed, progress=progress)
-        return train(opened, wanted, rules=rules, progress=progress)
+        return _with_proven_waits(train(opened, wanted, rules=rules, progress=progress), opened)
     (model,) = _put([Training(_place(dataset), wanted, str(out), rules, people)], engine, progress)
     return model
 
@@ -123,6 +126,50 @@ def train_task_times(
     if out is not None:
         save_task_times(out, found)
     return found
+
+
+@dataclass(frozen=True)
+class Training:
+    """One model to train, as a task of an engine.
+
+    Attributes:
+        dataset, out: Paths or URLs of dataset and model.
+        spec: What to train.
+        rules: Whether to search a rule too.
+        people: Source of people (`Dataset.by_people`).
+    """
+
+    dataset: str
+    spec: ModelSpec
+    out: str
+    rules: bool = False
+    people: People = "auto"
+
+
+def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCard:
+    """Train a model, save it and return its card; for a robot's log alone, the model is of an unseen operator.
+
+    Raises:
+        OutputError: The model would replace something else, or lie in the dataset.
+        CyclekitError: As `train`, or the model cannot be written.
+    """
+    check_output(what.out, "model", [what.dataset])
+    check_model_output(what.out)
+    dataset = Dataset.open(what.dataset).by_people(what.people)
+    if learns_unseen(dataset, what.spec):
+        unseen = learn_unseen(dataset, seed=what.spec.seed, progress=progress)
+        save_unseen(what.out, unseen)
+        return unseen.card
+    model = _with_proven_waits(train(dataset, what.spec, rules=what.rules, progress=progress), dataset)
+    save_model(what.out, model)
+    return model.card
+
+
+def _with_proven_waits(model: TrainedModel, dataset: Dataset) -> TrainedModel:
+    """Return a model without the learned waits if logged executions speak against them."""
+    if model.problem != "now":
+        return model
+    return replace(model, card=with_proven_waits(predictor_of(model), dataset))
 
 
 def _place(dataset: Dataset | Place) -> str:

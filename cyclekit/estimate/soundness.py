@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from cyclekit.alignment.clocks import ASSUMED
+from cyclekit.dataset.cards.notes import ADVICE, UNPROVEN
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.validation.several import several_found
@@ -59,7 +60,7 @@ def findings_of(
     """
     found = [] if dataset is None else [*findings_of_logs(dataset, model), *_people(model, executions)]
     if dataset is not None and not isinstance(model, OnStates):
-        found += several_found(dataset)
+        found += [*several_found(dataset), *_unproven_waits(model)]
     if check is not None:
         found += check.findings
     elif validated is not None:
@@ -115,6 +116,13 @@ def _pose(dataset: Dataset, model: object) -> Iterator[Finding]:
         yield Finding("pose", "red", text, GIVE_POSE)
     else:
         yield Finding("pose", "green", "the tracker's pose is given" if given else "the slow-downs confirm the pose")
+
+
+def _unproven_waits(model: SafetyModel) -> Iterator[Finding]:
+    """Yield a finding if what was learned on who waits for whom is not used: it failed on logged executions."""
+    for one in model.card.warnings:
+        if one.code == UNPROVEN:
+            yield Finding("waits", "amber", one.finding, ADVICE[one.code])
 
 
 def _people(model: SafetyModel, executions: int) -> Iterator[Finding]:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -13,8 +13,7 @@ from msgspec import structs
 
 from cyclekit import schema
 from cyclekit.dataset.cards import LevelShare, MetricsCard, Note, RowsCard, StandardisationCard, TrainingCard, note
-from cyclekit.dataset.dataset import Dataset, People
-from cyclekit.dataset.guard import check_output
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import ModelError, NoLevels
 from cyclekit.extras import need
@@ -25,13 +24,11 @@ from cyclekit.learning.networks.cell import cell_of, fingerprint
 from cyclekit.learning.networks.comparison import staircase_if_better
 from cyclekit.learning.networks.kinds import NETWORKS
 from cyclekit.learning.networks.metrics import measure
-from cyclekit.learning.networks.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
+from cyclekit.learning.networks.saved import MODEL_VERSION, TrainedModel
 from cyclekit.learning.rules.of_dataset import law_of, rule_of
 from cyclekit.learning.rules.safety import predictor_of
 from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.signal_inputs import by_signals, mixed
-from cyclekit.learning.unseen.fit import learn_unseen
-from cyclekit.learning.unseen.saved import save_unseen
 from cyclekit.learning.windows import scaling_without_operator
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.scaling.levels import Staircase, second_opinion
@@ -220,43 +217,6 @@ def _card(
         history=fitted.history,
         operator_signals=dataset.card.operator_signals if by_signals(dataset) else (),
     )
-
-
-@dataclass(frozen=True)
-class Training:
-    """One model to train, as a task of an engine.
-
-    Attributes:
-        dataset, out: Paths or URLs of dataset and model.
-        spec: What to train.
-        rules: Whether to search a rule too.
-        people: Source of people (`Dataset.by_people`).
-    """
-
-    dataset: str
-    spec: ModelSpec
-    out: str
-    rules: bool = False
-    people: People = "auto"
-
-
-def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCard:
-    """Train a model, save it and return its card; for a robot's log alone, the model is of an unseen operator.
-
-    Raises:
-        OutputError: The model would replace something else, or lie in the dataset.
-        CyclekitError: As `train`, or the model cannot be written.
-    """
-    check_output(what.out, "model", [what.dataset])
-    check_model_output(what.out)
-    dataset = Dataset.open(what.dataset).by_people(what.people)
-    if learns_unseen(dataset, what.spec):
-        unseen = learn_unseen(dataset, seed=what.spec.seed, progress=progress)
-        save_unseen(what.out, unseen)
-        return unseen.card
-    model = train(dataset, what.spec, rules=what.rules, progress=progress)
-    save_model(what.out, model)
-    return model.card
 
 
 def learns_unseen(dataset: Dataset, spec: ModelSpec) -> bool:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import Refusal
     from cyclekit.estimate.finding import Finding
@@ -119,15 +120,19 @@ class PageInputs:
         return floor_plan(self.dataset, self.samples, self.answers)
 
     @property
+    def coupling(self) -> CouplingCard | None:
+        """Who waits for whom: as the model has it, which may not use what was found in the logs."""
+        return (self.model.card.coupling if self.model else None) or self.dataset.card.coupling
+
+    @property
     def coupled(self) -> bool:
         """Whether robot or operator are known to wait for anything."""
-        coupling = self.dataset.card.coupling
-        return coupling is not None and coupling.coupled
+        return self.coupling is not None and self.coupling.coupled
 
     @cached_property
     def waits(self) -> list[tuple[WaitRow, float]]:
         """The wait conditions in words, each with the time waited for it per logged execution, s."""
-        rows = wait_rows(self.dataset.card.coupling, self.texts.place)
+        rows = wait_rows(self.coupling, self.texts.place)
         each_s = waited_s(self.dataset.every_task(), rows) if rows else []
         return [(row, seconds / self.seen.executions) for row, seconds in zip(rows, each_s, strict=True)]
 

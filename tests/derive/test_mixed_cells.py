@@ -7,6 +7,7 @@ import pytest
 from made_once import simulated
 
 from cyclekit import estimate_cycles, evaluate_model, train_model
+from cyclekit.api.train import Training, train_at
 from cyclekit.config import load_cell
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard, texts
@@ -17,7 +18,6 @@ from cyclekit.errors import DatasetError
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.signal_inputs import as_learned_by, by_signals, left_out, mixed
-from cyclekit.learning.training import Training, train_at
 from cyclekit_sim import SimulationOptions, simulate
 
 

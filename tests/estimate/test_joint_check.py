@@ -54,14 +54,15 @@ def _judged(
     )
     monkeypatch.setattr(f"{module}.logged_durations", lambda _, some: logged[[int(one.name) for one in some]])
     monkeypatch.setattr(f"{module}.longest_s", lambda _: 100.0)
-    monkeypatch.setattr(f"{module}.unexplained_waits", lambda *_: SimpleNamespace(wait_s=0.0, by_order_s=0.0))
+    monkeypatch.setattr(f"{module}.unexplained_waits", lambda *_, **__: SimpleNamespace(wait_s=0.0, by_order_s=0.0))
     monkeypatch.setattr(f"{module}.repetitions", lambda _: 60)
     monkeypatch.setattr(f"{module}.MAX_EXECUTIONS", len(logged))
     cell: Any = SimpleNamespace(
+        coupling=None,
         dataset=SimpleNamespace(recordings=()),
         logged=dict.fromkeys(names, ()),
         paces={},
-        model=SimpleNamespace(card=SimpleNamespace(held_out=())),
+        model=SimpleNamespace(card=SimpleNamespace(held_out=(), warnings=())),
         roll=lambda plans, **_: cycles[: len(plans)],
     )
     plan = SimpleNamespace(robot=None, operators=())

@@ -14,9 +14,9 @@ import pytest
 import torch
 from threadpoolctl import threadpool_limits
 
+from cyclekit.api.train import Training, train_at
 from cyclekit.cli import run
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.learning.training import Training, train_at
 from cyclekit.parallel.engine import LOCAL, Engine
 
 WHOLE_WAY = Path(__file__).parents[1] / "support" / "whole_way.py"

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
+from cyclekit.api.train import Training, train_at
 from cyclekit.cli import run
 from cyclekit.config.cells import Cell, OperatorSignal
 from cyclekit.dataset.dataset import Dataset
@@ -23,7 +24,6 @@ from cyclekit.fleet.stages import run_stages
 from cyclekit.ingest.free_text import Words, without_times
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.learning.training import Training, train_at
 
 EPOCH_S = 1_760_000_152.512
 NAMES = ("Anna", "Muster", "Kowalski", "track-4711")

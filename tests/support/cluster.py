@@ -72,10 +72,10 @@ def _wait_for(head: subprocess.Popen[bytes], log: Path) -> None:
 @pytest.fixture(scope="session")
 def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the logs of six executions in two sessions, their dataset, a model, and a sequence file."""
+    from cyclekit.api.train import Training, train_at
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.ingest.ingest import ingest
     from cyclekit.learning.networks.spec import ModelSpec
-    from cyclekit.learning.training import Training, train_at
     from cyclekit_sim import simulate
 
     def make(folder: Path) -> None:

@@ -13,6 +13,7 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from cyclekit import find_levels
+from cyclekit.api.train import Training, train_at
 from cyclekit.config.sequences import load_sequences
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.plan import load_jobs, plan
@@ -23,7 +24,6 @@ from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.saved import load_model
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.safety_function import read_zones
-from cyclekit.learning.training import Training, train_at
 
 JOBS = 'start = "home"\nvia = "conveyor"\nvisit = ["{}", "{}"]\n'
 SPECS = {"now": ModelSpec.of(epochs=2), "ahead": ModelSpec.of("ahead", "regressor", 2.0, epochs=2)}

@@ -151,10 +151,12 @@ def _events(values: Mapping[str, Value]) -> str:
     return f"its clock is aligned on only {many}, too few to check it: record three or more"
 
 
+UNPROVEN = "waits-unproven"
+"""What was learned on who waits for whom is not used."""
 ADVICE = dict.fromkeys(
     ("levels-none", "levels-many", "levels-wide", "scaling-continuous", "levels-not-held"),
     "learn it by regression: --network regressor",
-)
+) | {UNPROVEN: "give what ends the waits in [[waits]] of the cell file"}
 """Advice for training, by the code of its note."""
 
 SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
@@ -360,6 +362,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     ),
     "model-data": "{text}",
     "model-beaten": "{text}",
+    UNPROVEN: "{text}",
     "levels-disputed": (
         "{levels} levels by plateaus in time, {other} by K-means with silhouette: check the levels, "
         "and set them in cell.toml if you know them"

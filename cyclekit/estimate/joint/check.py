@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 import numpy as np
 import polars as pl
 from scipy.special import stdtrit
 
+from cyclekit.dataset.cards.notes import UNPROVEN
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.joint.plans import Planner
@@ -174,23 +175,10 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         levels: Quantile levels that the estimate will report.
         seed: Seed of the draws.
     """
-    sequences = [each for each in logged_sequences(cell.dataset, planner.nominal) if each.name in cell.logged]
-    if len(sequences) > MAX_EXECUTIONS:
-        sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MAX_EXECUTIONS).astype(int)]
-    orders = {each.name: tuple(visit.place for visit in cell.logged[each.name]) for each in sequences}
-    sequences = [replace(each, operator=orders[each.name]) for each in sequences]
-    every = len(sequences)
-    sequences = with_every_visit(planner, sequences)
-    whole = len(sequences)
-    rolled = _at_their_paces(cell, planner, sequences, seed)
-    ended = [
-        (sequence, np.resize(cycles.duration_s, DRAWS))
-        for sequence, cycles in zip(sequences, rolled, strict=True)
-        if not isinstance(cycles, EstimateError) and np.isfinite(cycles.duration_s).all()
-    ]
-    if len(ended) < MIN_EXECUTIONS:
+    rolled = roll_logged(cell, planner, seed=seed)
+    sequences, simulated = rolled.sequences, rolled.cycles_s
+    if len(sequences) < MIN_EXECUTIONS:
         return None
-    sequences, simulated = [sequence for sequence, _ in ended], np.array([cycles for _, cycles in ended])
     logged = logged_durations(cell.dataset, sequences)
     unseen = set(cell.model.card.held_out)
     held_out = np.array([each.name in unseen for each in sequences])
@@ -199,22 +187,57 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     off = logged / means - 1.0  # the chance of a cycle is in the logged duration, which therefore is the numerator
     bias = bias_of(-off / (1.0 + off.mean()), held_out)
     found = replace(found, own_bias=bias.bias, own_error=bias.error)
-    enough = len(ended) >= FEW_EXECUTIONS
+    enough = len(sequences) >= FEW_EXECUTIONS
     scatter = _scatter(logged, simulated * found.factor) if enough else _Scatter()
     mean_s = float(logged.mean())
-    waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s)
+    learned = cell.coupling is not None and cell.coupling.coupled
+    waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s, learned=learned)
     unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
     ours = {
         **scatter,
-        "widening": widening(len(ended), repetitions(cell)),
+        "widening": widening(len(sequences), repetitions(cell)),
         "unexplained_s": waits.wait_s,
         "unseen_error": unseen_s / mean_s,
         "open_wait": open_wait(cell.dataset, [each.name for each in sequences], mean_s),
-        "missed": every - whole,
-        "unended": whole - len(ended),
-        "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences),
+        "missed": rolled.missed,
+        "unended": rolled.unended,
+        "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences, cell, simulated),
     }
     return JointCheck(**{**vars(found), **ours})
+
+
+class LoggedRollouts(NamedTuple):
+    """Rollouts of the orders of logged executions.
+
+    Attributes:
+        sequences: The orders, in the order of the executions; their names are those of the executions.
+        cycles_s: Durations of their cycles, shape (orders, DRAWS), s.
+        missed: Number of executions left out because a visit of the operator was missed.
+        unended: Number of executions left out because some of their cycles do not end.
+    """
+
+    sequences: list[TaskSequence]
+    cycles_s: Floats
+    missed: int
+    unended: int
+
+
+def roll_logged(cell: JointCell, planner: Planner, *, seed: int) -> LoggedRollouts:
+    """Roll out the orders of logged executions, evenly spaced ones if there are more than MAX_EXECUTIONS."""
+    sequences = [each for each in logged_sequences(cell.dataset, planner.nominal) if each.name in cell.logged]
+    if len(sequences) > MAX_EXECUTIONS:
+        sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, MAX_EXECUTIONS).astype(int)]
+    orders = {each.name: tuple(visit.place for visit in cell.logged[each.name]) for each in sequences}
+    every = [replace(each, operator=orders[each.name]) for each in sequences]
+    whole = with_every_visit(planner, every)
+    rolled = _at_their_paces(cell, planner, whole, seed)
+    ended = [
+        (sequence, np.resize(cycles.duration_s, DRAWS))
+        for sequence, cycles in zip(whole, rolled, strict=True)
+        if not isinstance(cycles, EstimateError) and np.isfinite(cycles.duration_s).all()
+    ]
+    cycles_s = np.array([cycles for _, cycles in ended]).reshape(-1, DRAWS)
+    return LoggedRollouts([each for each, _ in ended], cycles_s, len(every) - len(whole), len(whole) - len(ended))
 
 
 def with_every_visit(planner: Planner, sequences: list[TaskSequence]) -> list[TaskSequence]:
@@ -228,8 +251,15 @@ def with_every_visit(planner: Planner, sequences: list[TaskSequence]) -> list[Ta
     return whole if len(whole) >= max(MOST * len(sequences), MIN_EXECUTIONS) else sequences
 
 
-def _by_order(off: Vector, sequences: Sequence[TaskSequence]) -> float:
-    """Return the error due to the order of the robot, of the operator or of both, whichever is largest."""
+def _by_order(off: Vector, sequences: Sequence[TaskSequence], cell: JointCell, simulated: Floats) -> float:
+    """Return the error due to the order of the robot, of the operator or of both, whichever is largest.
+
+    Where waits were seen and nothing is known that ends them, all that single executions are off by more than their
+    rollouts scatter, shape (E, K), may be due to the order.
+    """
+    if any(one.code == UNPROVEN for one in cell.model.card.warnings):
+        own = float((simulated.std(axis=1, ddof=1) / simulated.mean(axis=1)).mean())
+        return float(np.sqrt(max(off.var(ddof=1) - own**2, 0.0)))
     orders = [(sequence.places, sequence.operator) for sequence in sequences]
     groups: list[list[object]] = [[robot for robot, _ in orders], [operator for _, operator in orders], [*orders]]
     return max(error_by_order(off, some) for some in groups)
@@ -241,11 +271,12 @@ def widening(executions: int, count: int) -> float:
     It is Student's factor of a prediction interval: the scatter is known from so many executions, and the mean of each
     part of a cycle from `count` repetitions.
     """
-    few = _student(max(executions, FEWEST)) * (1.0 + 1.0 / max(count, FEWEST)) ** 0.5
-    return float(max(few / (_student(USUAL) * (1.0 + 1.0 / USUAL) ** 0.5), 1.0))
+    few = student(max(executions, FEWEST)) * (1.0 + 1.0 / max(count, FEWEST)) ** 0.5
+    return float(max(few / (student(USUAL) * (1.0 + 1.0 / USUAL) ** 0.5), 1.0))
 
 
-def _student(executions: int) -> float:
+def student(executions: int) -> float:
+    """Return Student's t that the mean of so many exceeds in 5 % of the cases by chance."""
     return float(stdtrit(executions - 1, 0.95))
 
 

@@ -29,11 +29,16 @@ class Unexplained(NamedTuple):
     by_order_s: float
 
 
-def unexplained_waits(dataset: Dataset, executions: Collection[str], mean_s: float) -> Unexplained:
-    """Return the robot's waits without a known condition, in executions of mean duration `mean_s`; 0.0 if small."""
+def unexplained_waits(
+    dataset: Dataset, executions: Collection[str], mean_s: float, *, learned: bool = True
+) -> Unexplained:
+    """Return the robot's waits without a known condition, in executions of mean duration `mean_s`; 0.0 if small.
+
+    Without `learned`, what ended the waits in the logs is not known either.
+    """
     visits = dataset.tasks().filter(pl.col("execution").is_in(list(executions)), pl.col("arrival_s").is_not_null())
-    waits = visits.with_columns(wait_s=pl.when(pl.col("waited_for").is_null()).then("wait_s").fill_null(0.0))
-    waits = waits.with_columns(pl.col("wait_s").fill_null(0.0))
+    explained = pl.col("waited_for").is_not_null() & learned
+    waits = visits.with_columns(wait_s=pl.when(~explained).then("wait_s").fill_null(0.0))
     total_s = float(waits["wait_s"].sum()) / max(len(executions), 1)
     if total_s < MIN_PART * mean_s:
         return Unexplained(0.0, 0.0)

@@ -22,7 +22,7 @@ from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.learning.coupling.conditions.alike import Kinds, find_with_alike, kinds_by_waits
 from cyclekit.learning.coupling.conditions.answers import is_own_tool
 from cyclekit.learning.coupling.conditions.begins import with_work_in_lag
-from cyclekit.learning.coupling.conditions.candidates import early_s
+from cyclekit.learning.coupling.conditions.candidates import early_s, times_of
 from cyclekit.learning.coupling.conditions.circles import in_circles
 from cyclekit.learning.coupling.conditions.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
 from cyclekit.learning.coupling.conditions.departures import USUAL, Condition, Departures, Gate
@@ -80,6 +80,12 @@ def learn_coupling(dataset: Dataset) -> CouplingCard | None:
     return learn_executions(courses_of_dataset(dataset), mine, dataset.card.settings.waits)
 
 
+def told_coupling(dataset: Dataset) -> CouplingCard | None:
+    """Return the card of a dataset if nobody waits but for what the cell file tells: waits are part of the work."""
+    courses, given = courses_of_dataset(dataset), dataset.card.settings.waits
+    return learn_executions(courses, dataset.tasks(), given, told_only=True)
+
+
 def courses_of_dataset(dataset: Dataset) -> list[ExecutionVisits]:
     """Return the complete executions of a dataset, as `courses_of` does.
 
@@ -105,7 +111,7 @@ def pace_before_and_after(older: Dataset, newer: Dataset) -> tuple[Vector, Vecto
 
 
 def learn_executions(
-    courses: Sequence[ExecutionVisits], tasks: pl.DataFrame, given: Sequence[Wait] = ()
+    courses: Sequence[ExecutionVisits], tasks: pl.DataFrame, given: Sequence[Wait] = (), *, told_only: bool = False
 ) -> CouplingCard | None:
     """Return who waits for whom in some executions; None in too few, or of the robot alone where it does not wait.
 
@@ -113,6 +119,7 @@ def learn_executions(
         courses: The executions.
         tasks: Tasks of the robot, table TASKS.
         given: Waits given in the cell file.
+        told_only: Whether only these are waited for.
 
     Raises:
         UnknownName: The cell file names a place or event that the logs do not contain.
@@ -120,10 +127,11 @@ def learn_executions(
     if len(courses) < MIN_EXECUTIONS:
         return None
     some = [courses[number] for number in in_runs(len(courses), MAX_EXECUTIONS)]
-    found = learn_courses(some, given)
+    found = learn_courses(some, given, told_only=told_only)
     if (pace := operator_pace(_without_known_trips(courses, found), found)) is not None:
         factors = pace.factors()
-        found = learn_courses([dataclass_replace(one, pace=factors[one.name][0]) for one in some], given)
+        paced = [dataclass_replace(one, pace=factors[one.name][0]) for one in some]
+        found = learn_courses(paced, given, told_only=told_only)
         found = replace(found, pace=pace)
     found = with_common_pace(_without_known_trips(courses, found), found)
     if not found.coupled and not any(course.visits["operator"] for course in courses):
@@ -142,7 +150,9 @@ def _without_known_trips(courses: Sequence[ExecutionVisits], card: CouplingCard)
     return parted_courses(courses, places, gates, max(trip.after_s for trip in gates.values()))[0]
 
 
-def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()) -> CouplingCard:
+def learn_courses(
+    courses: Sequence[ExecutionVisits], given: Sequence[Wait] = (), *, told_only: bool = False
+) -> CouplingCard:
     """Return the wait conditions learned from executions, without the `phase` of the robot's approach gates.
 
     Where the operator makes trips while he waits, these are parted from his visits first. Errands in the middle of his
@@ -153,7 +163,7 @@ def learn_courses(courses: Sequence[ExecutionVisits], given: Sequence[Wait] = ()
         raise ConfigError(msg, cure='Name the place: before = "fixture" or leaving = "fixture"')
     works_at = [wait.spot for wait in given if wait.spot is not None]
     given = [wait for wait in given if wait.place("approach") or wait.place("leave")]
-    parts = cache(partial(find_unseen_parts, courses))  # slow; trips, errands and spots change no visit of the robot
+    parts = None if told_only else cache(partial(find_unseen_parts, courses))  # slow; no visit of the robot changes
     places, known = trip_places(courses), None
     if places:
         known = _at_spots(courses, _without_trips(courses, given, parts), given, parts, works_at)
@@ -179,7 +189,7 @@ def _at_spots(
     courses: Sequence[ExecutionVisits],
     found: CouplingCard,
     given: Sequence[Wait],
-    parts: UnseenParts,
+    parts: UnseenParts | None,
     works_at: Collection[str],
 ) -> CouplingCard:
     """Return the card learned with visits to places where the operator only waits as waits on the way."""
@@ -202,10 +212,14 @@ def _goes_on(gate: GateCard, goal: str) -> bool:
     return (gate.agent, gate.at, gate.place) == ("operator", "approach", goal)
 
 
-def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait], parts: UnseenParts) -> CouplingCard:
-    """Return the wait conditions learned from executions in which no visit is a trip."""
+def _without_trips(
+    courses: Sequence[ExecutionVisits], given: Sequence[Wait], parts: UnseenParts | None
+) -> CouplingCard:
+    """Return the wait conditions learned from executions in which no visit is a trip; without `parts` those given."""
     ended_by: set[Event] = set().union(*(course.ended_by for course in courses))
     barred: dict[Agent, set[Event]] = {"robot": set(), "operator": ended_by}
+    if parts is None:
+        barred = {agent: set(times_of(courses)) for agent in AGENTS}
     kinds: dict[Agent, Kinds] = {}
     departures = {agent: find_with_alike(courses, agent, given, barred[agent]) for agent in AGENTS}
     turns: tuple[tuple[Agent, Agent], ...] = (("robot", "operator"), ("operator", "robot"), ("robot", "operator"))
@@ -213,7 +227,7 @@ def _without_trips(courses: Sequence[ExecutionVisits], given: Sequence[Wait], pa
         known, kinds[who] = kinds.get(who, {}), kinds_by_waits(departures[other])
         if kinds[who] != known:
             departures[who] = find_with_alike(courses, who, given, barred[who], kinds[who])
-    unseen = _unseen(departures["robot"], given, parts)
+    unseen = _unseen(departures["robot"], given, parts) if parts else ()
     if unseen:
         courses = with_parts(courses, unseen)
         departures["robot"] = find_with_alike(courses, "robot", given, (), kinds["robot"])

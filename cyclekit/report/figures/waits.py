@@ -50,7 +50,7 @@ _WORDS = {
 
 
 def _charts(page: PageInputs) -> Iterator[Chart]:
-    texts, card, waits = page.texts, page.dataset.card.coupling, page.waits
+    texts, card, waits = page.texts, page.coupling, page.waits
     if card is None or not waits:
         return
     alt = texts("waits.picture", longest=_told(texts, *max(waits, key=lambda each: each[1])))

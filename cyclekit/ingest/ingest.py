@@ -288,8 +288,17 @@ def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tup
 
     If an agent waits for the other, an execution ends when both are done, so the operator's tasks after the robot's
     last one are included.
+
+    Raises:
+        ConfigError: The cell file gives waits, and several people are taken for one.
     """
-    if several_people(derived.recordings):
+    if share := several_people(derived.recordings):
+        if cell.waits:
+            msg = (
+                f"cell.toml [[waits]]: in {share:.0%} of the samples with people several are seen at once, who are "
+                "taken for one, so it is not known whose visits end these waits"
+            )
+            raise ConfigError(msg, cure="Keep one person's track in the logs, or leave [[waits]] out.")
         return derived.tasks, None
     tasks, bits = derived.tasks, partial(logged_bits, stored=stored)
     fields = [name for one in derived.operator_signals for name in (one.signal, one.reset) if name]

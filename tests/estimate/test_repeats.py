@@ -22,6 +22,8 @@ from cyclekit_sim import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from cyclekit.estimate.finding import Finding
+
 REPEATS = [Repeated("robot", "left", visits=100, times=10, took_s=3.0)]
 
 
@@ -54,17 +56,41 @@ def test_repeated_picks_of_the_logs_are_told_of_an_order_without_them(tmp_path: 
     assert told.text.startswith(f"the logs repeat `feeder` {again} times in 24 visits; this order has none: +")
 
 
-@pytest.mark.usefixtures("quick_task_times")
-def test_repeated_tasks_of_lists_are_told_of_a_plan_without_them(tmp_path: Path) -> None:
+def told_of(folder: Path, runs: list[str], asked: str) -> list[Finding]:
+    """Return the findings on repetitions of a plan; each task of the logged runs and of the plan is a letter."""
     rows = ["run,agent,task,t_start,t_end"]
-    for number in range(20):
-        for at, name in enumerate("ppq" if number % 5 == 0 else "pq"):
+    for number, tasks in enumerate(runs):
+        for at, name in enumerate(tasks):
             begin_s = 1.7e9 + 100.0 * number + 2.0 * at
             rows.append(f"{number},arm,{name},{begin_s},{begin_s + 1.9}")
-    (tmp_path / "tasks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    ingest([tmp_path / "tasks.csv"], tmp_path / "dataset")
-    model = learn_task_times(Dataset.open(tmp_path / "dataset"))
-    plan = TaskSequence.of_plan("once", [PlannedTask("arm", "p"), PlannedTask("arm", "q")])
+    (folder / "tasks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    ingest([folder / "tasks.csv"], folder / "dataset")
+    model = learn_task_times(Dataset.open(folder / "dataset"))
+    plan = TaskSequence.of_plan("once", [PlannedTask("arm", name) for name in asked])
     (found,) = estimate_plans(model, [plan], refused=lambda *_: None)
-    (told,) = (one for one in found.findings if one.code == "repeats")
+    return [one for one in found.findings if one.code == "repeats"]
+
+
+@pytest.mark.usefixtures("quick_task_times")
+@pytest.mark.parametrize(
+    ("runs", "asked"),
+    [
+        (["apb", "cppd"] * 10, "apb"),  # two products: one needs two of p
+        (["apb", "cppd", "apb", "apb"] * 5, "cpd"),
+        (["papq", "ppaq"] * 10, "paq"),  # two in a row in one order, not in the other
+    ],
+)
+def test_what_products_or_orders_need_in_a_row_is_no_repetition(tmp_path: Path, runs: list[str], asked: str) -> None:
+    assert told_of(tmp_path, runs, asked) == []
+
+
+@pytest.mark.usefixtures("quick_task_times")
+def test_repetitions_of_two_products_are_told(tmp_path: Path) -> None:
+    (told,) = told_of(tmp_path, ["apb", "cpd", "appb", "cpd", "cppd"] * 4, "apb")
+    assert told.text.startswith("the logs repeat `p` 8 times in 20 visits; this order has none: +")
+
+
+@pytest.mark.usefixtures("quick_task_times")
+def test_repeated_tasks_of_lists_are_told_of_a_plan_without_them(tmp_path: Path) -> None:
+    (told,) = told_of(tmp_path, ["ppq" if number % 5 == 0 else "pq" for number in range(20)], "pq")
     assert told.text.startswith("the logs repeat `p` 4 times in 20 visits; this order has none: +")

@@ -9,6 +9,7 @@ from known_cells import TrueStaircase
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ConfigError
 from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.coupling.learn import learn_coupling
@@ -44,6 +45,14 @@ def test_waits_are_not_learned_from_two_people_taken_for_one(tmp_path: Path, los
     assert "who waits for whom" in finding.text
     assert finding.blocks
     assert half > wait > 0.0
+
+
+def test_waits_of_the_cell_file_are_refused_where_it_is_not_known_whose_they_are(tmp_path: Path) -> None:
+    simulate("two-operators", tmp_path / "logs", executions=2, seed=3)
+    with (tmp_path / "logs" / "cell.toml").open("a", encoding="utf-8") as file:
+        file.write('\n[[waits]]\nagent = "robot"\nbefore = "fixture"\nuntil = "operator leaves fixture"\n')
+    with pytest.raises(ConfigError, match=r"\[\[waits\]\]: in 100% of the samples with people several are seen"):
+        ingest([tmp_path / "logs"], tmp_path / "dataset")
 
 
 def test_one_person_whose_id_is_lost_is_no_second_one(tmp_path: Path) -> None:

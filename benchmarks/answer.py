@@ -283,7 +283,7 @@ def dynamics(asked: argparse.Namespace) -> None:
             cell.dataset.card = structs.replace(
                 cell.dataset.card, dynamics=DynamicsCard(**true) if told else DynamicsCard()
             )
-            own_s, *_ = with_own_tracks(model, cell.dataset, executions, nominal, tracks)
+            own_s = with_own_tracks(model, cell.dataset, executions, nominal, tracks)
             off = 100 * (own_s / took - 1)
             OUT.print(f"{name}, response {'known' if told else 'unknown'}: mean |error| {np.abs(off).mean():.2f} %, "
                       f"mean {off.mean():+.2f} % +- {1.96 * off.std() / len(off) ** 0.5:.2f}")  # fmt: skip

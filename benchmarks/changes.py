@@ -24,7 +24,6 @@ from rich.console import Console
 from rich.table import Table
 
 from cyclekit.estimate.operator.tracks import operator_tracks
-from cyclekit.estimate.validation.check import check_rollout
 from cyclekit.estimate.whatif import Change, what_if
 from cyclekit.estimate.whatif.change import Zone
 from cyclekit.learning.rules.safety import predictor_of
@@ -43,7 +42,6 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.operator.tracks import OperatorTracks
-    from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.estimate.whatif import WhatIf
     from cyclekit_sim import SimulationOptions
     from cyclekit_sim.scenes import Scene
@@ -141,9 +139,9 @@ def operator_of(scene: Scene, side: Operators, index: int, entry: int) -> Track:
     return WalkedTrack(operator_legs(scene, rng), skip_s=skip_s)
 
 
-def beside(dataset: Dataset, seed: int, fresh: int, model: SafetyModel) -> tuple[Operators, Operators]:
+def beside(dataset: Dataset, seed: int, fresh: int) -> tuple[Operators, Operators]:
     """Return the operators of an estimate from these logs, and `fresh` other ones."""
-    tracks = operator_tracks(dataset, horizon_s=LONG_S, anywhere=check_rollout(model, dataset).anywhere)
+    tracks = operator_tracks(dataset, horizon_s=LONG_S)
     return Operators(seed, len(set(tracks.executions)), tracks), Operators(JUDGED_SEED, fresh)
 
 
@@ -157,7 +155,7 @@ def of_set(work: Path, asked: argparse.Namespace, seed: int) -> list[np.ndarray]
     wanted = unseen_sequences(cell.dataset, SCENE, asked.sequences, first=JUDGED_SEED)
     model = predictor_of(cell.model)
     found = what_if(model, cell.dataset, wanted, [case[0] for case in CASES])
-    sides = beside(cell.dataset, seed, asked.fresh, model)
+    sides = beside(cell.dataset, seed, asked.fresh)
     now, rows = None, []
     for change, thresholds_m, zone, options in CASES:
         mine = {entry.before.name: entry for entry in found if entry.change == change.name}

@@ -44,7 +44,6 @@ def cycles_of(
             ask.dataset,
             horizon_s=horizon,
             operator=operator,
-            anywhere=ask.anywhere,
             goals=estimator.goals,
             model=ask.model,
         )
@@ -86,7 +85,7 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
     if ask.altered is None and not ask.engine.stays_here(len(programs)):
         operator = turn.sequences[0].operator
         some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
-        inputs = RolloutInputs(ask.model, ask.dataset.place, some, operator, ask.anywhere, turn.horizon_s, ask.seed)
+        inputs = RolloutInputs(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, inputs, turn.sequences, len(tracks.executions))
     support: Logged | None = ask.model if isinstance(ask.model, OnStates) else None
     if support is None and not holds_everywhere(ask.model):

@@ -116,11 +116,10 @@ def _of_kinds(task: NominalTask) -> bool:
     return either_kind(task.by_work) is not None
 
 
-def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
+def limits_of_cycles(cycles: Rolled) -> list[str]:
     """Return the other limits of one sequence's number, one sentence each."""
     found = []
-    anywhere = entry.tracks > entry.executions  # half of a cycle as long as a log runs with other executions' operators
-    if cycles.spliced > ((1.0 + CONTINUED) / 2.0 if anywhere else CONTINUED):
+    if cycles.spliced > CONTINUED:
         found.append(
             f"{percent(cycles.spliced)} of the time the operator's track is continued with parts of other "
             "executions that begin in the same state"

@@ -153,8 +153,6 @@ def _estimate_robot(
         refuse_biased(check, own=trained_on(model.card, dataset))
     ask = replace(ask, dataset=dataset, check=check)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
-    if check and check.operator and check.operator.said:
-        limits.append(check.operator.said)
     shown = dataset if ESTIMATORS[chosen].needs is not None else None
     effect, visits = order_effect_for(ask), visit_effect_for(ask)
     found: list[Unranked] = []
@@ -177,7 +175,7 @@ def _estimate_robot(
                 validated=unknown if chosen == "rollout" and altered is None else None,
             )  # fmt: skip
             findings = (*of_other_work, *coarse_of(cycles, entry), *known)
-            mine_alone = (*of_work, *limits_of_cycles(cycles, entry))
+            mine_alone = (*of_work, *limits_of_cycles(cycles))
             entry = replace(entry, findings=findings, limits=(*mine_alone, *limits))
             found.append(Unranked(entry, mean.resampled_s, last=not cycles.simulated))
     tell(1.0, "done")

@@ -16,7 +16,7 @@ from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.program import lay_out
 from cyclekit.estimate.robot.safety import Dynamics, Follower
 from cyclekit.estimate.validation.check import check_rollout
-from cyclekit.estimate.validation.logged import beginnings, logged_sequences, with_other_tracks
+from cyclekit.estimate.validation.logged import logged_sequences, with_other_tracks
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def test_beside_other_operators_cycles_are_walked_where_the_robot_recovers_slowl
     monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=slow))
     nominal = nominal_tasks(logged)
     sequence = logged_sequences(logged, nominal)[3]
-    tracks = beginnings(operator_tracks(logged, horizon_s=300.0))
+    tracks = operator_tracks(logged, horizon_s=300.0)
     (others,) = with_other_tracks(staircase, logged, [sequence], nominal, tracks)
     program = lay_out(sequence, nominal, logged)
     walked = roll_out(staircase, program, tracks, None, dynamics=Dynamics.of(logged.card.dynamics)).duration_s
@@ -101,7 +101,7 @@ def test_beside_other_operators_s_follows_as_the_law_does(logged: Dataset):
     model = RuleSafety(RuleCard(family="law", levels=(0.0, 1.0), law=law, explained=1.0), TrainingCard())
     nominal = nominal_tasks(logged)
     sequence = logged_sequences(logged, nominal)[3]
-    tracks = beginnings(operator_tracks(logged, horizon_s=300.0))
+    tracks = operator_tracks(logged, horizon_s=300.0)
     (others,) = with_other_tracks(model, logged, [sequence], nominal, tracks)
     dynamics = Dynamics(latency_s=0.1, ramp_down_per_s=1.0, ramp_up_per_s=0.1)
     walked = roll_out(model, lay_out(sequence, nominal, logged), tracks, None, dynamics=dynamics).duration_s

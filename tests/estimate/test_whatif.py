@@ -296,26 +296,6 @@ def test_half_as_often_stretches_the_time_away_and_keeps_the_visits(logged: Data
     assert np.diff(starts) == pytest.approx([20] * (len(starts) - 1), abs=1)
 
 
-def test_how_often_he_is_away_is_read_from_all_of_a_circle_and_not_from_the_ends_of_its_logs(
-    logged: Dataset, staircase: Any
-):
-    """Entered at even steps, what is left of each log shows its end more often than its beginning."""
-    near, tasks = np.repeat([True, False], 40), nominal_tasks(logged)
-    entered = [np.resize(np.roll(near, -first), 400) for first in range(0, 80, 10)]
-    tracks = tracks_of([True])
-    tracks = replace(
-        tracks,
-        xyz_m=np.concatenate([tracks_of(some.tolist()).xyz_m for some in entered]),
-        activity=np.zeros((8, 400), dtype=np.int64),
-        logged=80 - np.arange(0, 80, 10),
-        executions=("e",) * 8,
-    )
-    assert tracks.at_any_instant
-    half = altered_tracks(Change("half", frequency=0.5), tracks, tasks, staircase)
-    away = half.xyz_m[0, :, 0] > 1.0
-    assert np.diff(np.flatnonzero(np.diff(away.astype(int))))[:3].tolist() == [120, 40, 120]
-
-
 def test_an_operator_who_is_always_there_cannot_come_more_often(logged: Dataset, staircase: Any):
     tasks = nominal_tasks(logged)
     with pytest.raises(EstimateError, match="away 0 % of the time"):

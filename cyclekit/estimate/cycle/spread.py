@@ -34,7 +34,6 @@ class RolloutInputs:
         dataset: Place of the dataset.
         executions: Executions to use; None = all.
         operator: Order of the operator's tasks; None = any.
-        anywhere: Share of the tracks that start at any instant.
         horizon_s: Length of the tracks, s.
     """
 
@@ -42,7 +41,6 @@ class RolloutInputs:
     dataset: str
     executions: tuple[str, ...] | None
     operator: tuple[str, ...] | None
-    anywhere: float
     horizon_s: float
     seed: int
 
@@ -67,7 +65,7 @@ def roll_spread(
 def _simulate(inputs: RolloutInputs, sequences: Sequence[TaskSequence]) -> list[Rolled]:
     on_states = inputs.model if isinstance(inputs.model, OnStates) else None
     logs, nominal, tracks, support = _of_logs(
-        inputs.dataset, inputs.executions, inputs.operator, inputs.anywhere, inputs.horizon_s, on_states
+        inputs.dataset, inputs.executions, inputs.operator, inputs.horizon_s, on_states
     )
     programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
     dynamics = Dynamics.of(logs.card.dynamics, inputs.model)
@@ -80,13 +78,12 @@ def _of_logs(
     dataset: str,
     executions: tuple[str, ...] | None,
     operator: tuple[str, ...] | None,
-    anywhere: float,
     horizon_s: float,
     on_states: OnStates | None,
 ) -> tuple[Dataset, Mapping[str, NominalTask], OperatorTracks, Logged]:
     logs = Dataset.open(dataset)
     logs = logs if executions is None else logs.only(executions)
-    tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator, anywhere=anywhere, model=on_states)
+    tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator, model=on_states)
     return logs, nominal_tasks(logs), tracks, on_states or logged_support(logs)
 
 

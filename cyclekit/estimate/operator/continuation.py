@@ -6,8 +6,9 @@ similar tracks is drawn. A logged execution ends when the robot has finished, wh
 before and not on what he does next. So what followed the same state elsewhere is an unbiased draw, whatever the length
 of the execution that it comes from. (A block bootstrap with matched blocks: Carlstein, Do, Hall, Hesterberg and Künsch,
 Bernoulli 4, 1998.) Nothing that only a log's end knows may enter the state, or ends match ends: a task that the end
-cuts (he walks, or is away, before it) is unknown and may be any, and the time since the start of the cycle does not
-count, as all that is as late as the end of a log is near an end.
+cuts (he walks, or is away, before it) is unknown and may be any; how long a task has lasted that began before its log
+is unknown too; and the time since the start of the cycle does not count, as all that is as late as the end of a log is
+near an end.
 """
 
 from __future__ import annotations
@@ -20,8 +21,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.schema import Floats, Ints, Points, Vector
-
+    from cyclekit.schema import Ints, Points, Vector
 
 NEAR_M = 0.4
 """Distance between two positions, m, that counts as one unit of difference between states."""
@@ -32,7 +32,8 @@ ELAPSED = 2.0
 OTHER_TASK = 5.0
 """Units of difference between two tasks of the operator."""
 ITSELF = 5.0
-"""Units added for a stretch of the track that ends: a track should not repeat itself."""
+"""Units added for a stretch of the track that ends, as it should not repeat itself, and for one within a task or
+absence that began before its log, as it has lasted longer than is known."""
 AWAY = 100.0
 """Units of difference between an absent and a present operator."""
 STILL_M_S = 0.2
@@ -92,6 +93,7 @@ class Continuation:
         self._at = np.concatenate([np.empty(0, np.int64), *instants])
         self._states = np.hstack([logs.states(self._at, self._kinds), self._elapsed(logs.spell[self._at])[:, None]])
         self._known = (logs.activity[self._at] >= 0) * (0.5 * OTHER_TASK**2)
+        self._begun_before = ITSELF**2 * (self._at - logs.spell[self._at] == logs.first[self._owner])
         self._owners, self._begins = np.unique(self._owner, return_index=True)
 
     def extend(
@@ -164,7 +166,7 @@ class Continuation:
             some = states[first : first + at_once]
             squares = (some**2).sum(axis=1)[:, None] + (self._states**2).sum(axis=1) - 2.0 * some @ self._states.T
             unknown = np.asarray(~some[:, doing].any(axis=1), dtype=np.float64)
-            squares -= unknown[:, None] * self._known  # a task that is not known may be any
+            squares += self._begun_before - unknown[:, None] * self._known  # a task that is not known may be any
             away = np.sqrt(np.maximum(np.minimum.reduceat(squares, self._begins, axis=1), 0.0))
             away += ITSELF * (self._owners == ends[first : first + at_once, None])
             best = np.argsort(away, axis=1, kind="stable")[:, :CANDIDATES]
@@ -273,12 +275,3 @@ class LoggedStates:
         doing = (self.activity[at, None] == np.arange(kinds)) * (OTHER_TASK / np.sqrt(2.0))
         position = np.where(away[:, None], 0.0, xy)
         return np.hstack([position / NEAR_M, speed / NEAR_M_S, AWAY * away[:, None], doing])
-
-    def differences(self, ends: Ints, begins: Ints) -> Floats:
-        """Return the difference in state between ends and beginnings of tracks, units, shape (ends, begins)."""
-        kinds, soon = 1 + int(self.activity.max(initial=-1)), max(1, round(0.5 / self._step_s))
-        last, first = self.states(self.last[ends], kinds), self.states(self.first[begins], kinds)
-        later = self.states(np.minimum(self.first + soon, self.last)[begins], kinds)
-        first[:, 2:4] = later[:, 2:4]  # the velocity at the first sample is known only from later ones
-        squares = (last**2).sum(axis=1)[:, None] + (first**2).sum(axis=1) - 2.0 * last @ first.T
-        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

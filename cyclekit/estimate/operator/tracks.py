@@ -1,12 +1,12 @@
 """Operator tracks from the logs, as long as the longest cycle that is rolled out with them.
 
 A track begins where its execution began: that was logged. That a cycle may as well begin at any other instant of the
-operator's day is a departure, made as far as the validation bears it (`operator_model`): then a share of the tracks
-starts at even steps along `circles` of all logs.
+operator's day is never assumed. Logs could show it only where it gains nothing: if it holds, the variance that it saves
+is that of the difference between the two estimates, by which alone they could tell it from what was logged (Hausman,
+Econometrica 46, 1978).
 
 If a cycle takes longer than the logged one, the track continues: with what the operator really did next, if the log
 runs on; else with a stretch of another track that begins in the same state (`continuation`), repeatedly, to any length.
-On circles it continues with the next log.
 
 While the operator was briefly hidden he was still present: positions are interpolated linearly between the last sight
 and the next. Only while he was away is there no operator.
@@ -19,41 +19,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-from scipy.special import chdtri, ndtr
 
 from cyclekit.errors import DatasetError, EstimateError
-from cyclekit.estimate.operator.circles import TrackStarts, mixed_starts, start_tracks
 from cyclekit.estimate.operator.continuation import Continuation, Stretch
-from cyclekit.estimate.operator.courses import continue_courses
 from cyclekit.estimate.operator.pauses import RUN_ON_S, runs_on, starting_scaling
 from cyclekit.estimate.robot.safety import Dynamics, OnStates
 from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.robot.safety import SafetyModel
-
-ENTRIES, MIN_ENTRIES = 8, 4
-"""Number of tracks per execution along circles of logs: usual, and minimum."""
-MANY = 320
-"""Maximum number of tracks along circles, unless MIN_ENTRIES per execution are more."""
-PHASES = 4
-"""Number of instants per execution at which a course of states starts, apart from its beginning."""
-SHORTEST = 0.1
-"""Share of executions that may be shorter than the span over which these instants are spread."""
-
-SAME_SPREAD = 1.65
-"""Threshold of `phase_is_free`: ratio of the operator's spread at one instant of the cycle to that at all times."""
-SURE_Z = 3.5
-"""Threshold of `phase_is_free`, standard errors: difference of the mean position, and of the spread."""
-CHANCE = 8.0
-"""Threshold of `phase_is_free`: excess of chi squared over its mean, standard deviations, for absence and tasks."""
-MIN_FREE = 8
-"""Minimum number of tracks for `phase_is_free`."""
+    from cyclekit.schema import Ints, Points
 
 
 @dataclass(frozen=True)
@@ -65,7 +45,7 @@ class OperatorTracks:
         activity: Index into `activities` of the operator's task, shape (K, T); -1 = unknown.
         activities: Names of the operator's tasks.
         logged: Samples of each track that its own operator really did, shape (K,).
-        executions: Name of the execution of each track; several tracks can be of one.
+        executions: Name of the execution of each track.
         step_s: Time between samples.
         goal_m: g_h, shape (K, T, 3); NaN = unknown; None if not requested.
         runs_on: Whether most executions, with the operator, are followed by the next one without a pause.
@@ -83,11 +63,6 @@ class OperatorTracks:
     runs_on: bool = False
     state: NDArray[np.float64] | None = None
     scaling: NDArray[np.float64] | None = None
-
-    @property
-    def at_any_instant(self) -> bool:
-        """Whether tracks start at several instants of a log: then all their samples show how often he is away."""
-        return len(self.executions) > len(set(self.executions))
 
 
 @dataclass(frozen=True)
@@ -114,7 +89,6 @@ def operator_tracks(
     *,
     horizon_s: float,
     operator: Sequence[str] | None = None,
-    anywhere: float | None = 0.0,
     goals: bool = False,
     model: SafetyModel | None = None,
 ) -> OperatorTracks:
@@ -128,9 +102,6 @@ def operator_tracks(
         dataset: The logs.
         horizon_s: Longest cycle that will be requested.
         operator: Use only executions in which the operator's tasks begin in this order.
-        anywhere: Share of the tracks that start at any instant: along circles of logs, and courses of states at PHASES
-            instants of each log; the others start where their executions do, as do all for a requested order and unless
-            `phase_is_free`. None: all of both, the beginnings first, in the order of the executions.
         goals: Also return g_h.
         model: The model that will use the tracks; one of states gets states in place of positions.
         EstimateError: No execution has an operator track, or none matches `operator`.
@@ -153,42 +124,12 @@ def operator_tracks(
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
-    length, after, mine = int(np.ceil(horizon_s / step)) + 2, _after(dataset), {name: tracks[name] for name in begins}
-    share = 0.5 if anywhere is None else anywhere
-    share = share if operator is None and phase_is_free(tracks) else 0.0
-    parts = []
-    if share < 1.0:
-        parts.append(_continued(tracks, begins, after, step, length, [0], states=on_states))
-    if share > 0.0 and on_states:
-        instants = _instants([len(track.where) for track in mine.values()])
-        parts.append(_continued(tracks, begins, after, step, length, instants, states=on_states))
-    elif share > 0.0:
-        parts.append(_on_circles(mine, after, step, length))
-    starts = parts[0] if len(parts) == 1 else mixed_starts(parts, None if anywhere is None else share)
-    where, activity, owner, begin, logged = starts
-    executions = tuple(begins[k] for k in owner.tolist())
-    scaling = starting_scaling(dataset, executions, begin, Dynamics.of(dataset.card.dynamics, model).ramp_up_per_s)
+    length = int(np.ceil(horizon_s / step)) + 2
+    where, activity, logged = _continued(tracks, begins, _after(dataset), step, length, states=on_states)
+    scaling = starting_scaling(dataset, begins, Dynamics.of(dataset.card.dynamics, model).ramp_up_per_s)
     goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
-    rest = tuple(names), logged, executions, step, goal_m, runs_on(dataset), state, scaling
+    rest = tuple(names), logged, tuple(begins), step, goal_m, runs_on(dataset), state, scaling
     return OperatorTracks(where[..., :3], activity, *rest)
-
-
-def _on_circles(tracks: dict[str, LoggedTrack], after: dict[str, list[str]], step: float, length: int) -> TrackStarts:
-    """Return tracks that start at even steps along circles of these logs; logs that run on keep their order."""
-    number = {name: k for k, name in enumerate(tracks)}
-    logs, really = [], {}
-    for name, track in tracks.items():
-        log, following = Stretch(track.where, track.activity), next(iter(after[name]), "")
-        if following in tracks and tracks[following].begin_s - track.end_s <= RUN_ON_S:
-            really[number[name]] = number[following]
-            log = _until(log, track.end_s, tracks[following], step)
-        logs.append(log)
-    return start_tracks(logs, step, entries=entries_of(len(logs)), length=length, after=really)
-
-
-def entries_of(executions: int) -> int:
-    """Return the number of tracks that start along the circles of this number of logs."""
-    return max(MIN_ENTRIES * executions, min(ENTRIES * executions, MANY))
 
 
 def _continued(
@@ -197,87 +138,16 @@ def _continued(
     after: dict[str, list[str]],
     step: float,
     length: int,
-    instants: Sequence[int],
     *,
     states: bool,
-) -> TrackStarts:
-    """Return executions from these samples on, continued with stretches of others."""
+) -> tuple[Points, Ints, Ints]:
+    """Return tracks, (K, length, 3 or more) and (K, length), and how many samples of each are its own, (K,)."""
     ran_on = [_run_on(tracks, [name, *after[name]], step, states=states) for name in begins]
-    entries = [(number, min(at, len(tracks[name].where) - 1)) for at in instants for number, name in enumerate(begins)]
-    streams = [Stretch(ran_on[k][0].where[at:], ran_on[k][0].activity[at:]) for k, at in entries]
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
-    if states and instants[-1]:  # begun at any instant, so what follows may begin at any too
-        where, activity = continue_courses(streams, pool, length)
-    else:
-        owners = [followed.get(ran_on[k][1], -1) for k, _ in entries]
-        where, activity = Continuation(pool, step).extend(streams, owners, length)
-    owner, begin = (np.array(part) for part in zip(*entries, strict=True))
-    return TrackStarts(where, activity, owner, begin, np.array([len(stream.where) for stream in streams]))
-
-
-def _instants(lengths: Sequence[int]) -> list[int]:
-    """Return the samples at which courses of these lengths start, the same for all.
-
-    Instants at fixed shares of each length would start every course equally often. But executions are long because the
-    operator was in the way: such times would be started more rarely than they occur.
-    """
-    within = int(np.quantile(lengths, SHORTEST, method="lower"))
-    return [within * (2 * phase + 1) // (2 * PHASES) for phase in range(PHASES)]
-
-
-def phase_is_free(tracks: Mapping[str, LoggedTrack]) -> bool:
-    """Return whether nothing in the operator's positions shows that a cycle may not begin at any instant of his day.
-
-    It is shown if at the beginning, at a third or at two thirds of the shortest execution he behaves other than at any
-    time within it: in the frequencies of absence and of each task (CHANCE), the mean of his position (SURE_Z standard
-    errors), or its spread (these, and SAME_SPREAD). With few executions nothing is shown, which proves nothing: how far
-    tracks may start anywhere is known from cycle times (`operator_model`).
-    """
-    usual = [track for track in tracks.values() if track.followed]
-    if len(usual) < MIN_FREE:
-        return False
-    shortest = min(len(track.where) for track in usual)  # later samples come only from slow executions
-    every = Stretch(
-        np.concatenate([track.where[:shortest] for track in usual]),
-        np.concatenate([track.activity[:shortest] for track in usual]),
-    )
-    return all(_is_alike(usual, every, at) for at in (0, shortest // 3, 2 * shortest // 3))
-
-
-def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
-    """Return whether the operators at sample `at` of these tracks are like those of all samples."""
-    where, doing = np.array([t.where[at, :2] for t in tracks]), np.array([t.activity[at] for t in tracks])
-    pairs = zip(_kinds(where, doing), _kinds(every.where, every.activity), strict=True)
-    if not all(_is_chance(here, usual) for here, usual in pairs):
-        return False
-    everywhere, here = (part[np.isfinite(part).all(axis=1)] for part in (every.where[:, :2], where))
-    if len(here) < MIN_FREE:
-        return False
-    spread, there = everywhere.std(axis=0), here.std(axis=0)
-    if not spread.any():  # known by states, which have no position
-        return True
-    off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
-    ratio = np.maximum(there / np.maximum(spread, 1e-9), 1e-9)
-    few = np.sqrt((len(here) - 1) / chdtri(len(here) - 1, ndtr(SURE_Z)))  # ratio of spreads by chance for few samples
-    return bool((off < SURE_Z).all() and (np.abs(np.log(ratio)) < np.log(max(SAME_SPREAD, few))).all())
-
-
-def _kinds(where: NDArray[np.float64], activity: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return whether each operator is away (N,), and the known tasks of those present (M,)."""
-    away = np.asarray(np.isnan(where[:, :2]).any(axis=1))
-    return np.asarray(away, dtype=np.int64), activity[~away & (activity >= 0)]
-
-
-def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
-    """Return whether kinds (N,) can be a draw from those of all samples (M,), by chi squared: see CHANCE."""
-    kinds, counts = np.unique(usual, return_counts=True)
-    wanted = counts / counts.sum() * len(here) if len(counts) else counts
-    if len(kinds) < 2 or not len(here):
-        return True
-    found = np.array([np.count_nonzero(here == kind) for kind in kinds])
-    free = len(kinds) - 1
-    return bool(((found - wanted) ** 2 / wanted).sum() <= free + CHANCE * np.sqrt(2.0 * free))
+    owners = [followed.get(last, -1) for _, last in ran_on]
+    where, activity = Continuation(pool, step).extend([stream for stream, _ in ran_on], owners, length)
+    return where, activity, np.array([len(stream.where) for stream, _ in ran_on])
 
 
 def logged_tracks(dataset: Dataset) -> dict[str, LoggedTrack]:

@@ -170,7 +170,7 @@ def plan(
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
     if check is None and validate:
         check, _ = validated(model, dataset, seed=seed)
-    tracks = operator_tracks(dataset, horizon_s=3.0 * length, anywhere=check.anywhere if check else 0.0, model=model)
+    tracks = operator_tracks(dataset, horizon_s=3.0 * length, model=model)
     table = transit_table(model, tasks, tracks, progress=progress)
     every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
     order, searched, tried = best_order(every, seed=seed, progress=progress)

@@ -20,7 +20,6 @@ from scipy.special import bdtr, ndtr
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.finding import Finding
-from cyclekit.estimate.operator.operator_model import OperatorModel, operator_model
 from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.safety import OnStates, SafetyModel
@@ -31,8 +30,6 @@ from cyclekit.estimate.statistics.resample import TOGETHER
 from cyclekit.estimate.validation.history import TaskTimes, chance_of_logs, order_error
 from cyclekit.estimate.validation.log_level import LogLevel, log_level
 from cyclekit.estimate.validation.logged import (
-    beginnings,
-    first_half,
     logged_durations,
     logged_sequences,
     only_tracks,
@@ -96,7 +93,6 @@ class Check:
         levels: The outer quantile levels of these coverages.
         order_error: Error of sums of logged task durations due to the order of tasks, as a share of the duration of an
             order of one task (`history.order_error`); None with few executions, or with a `level`.
-        operator: Comparison of tracks that start at any instant with the logged tracks; None if all are these.
         unseen_error: Standard deviation of the model's error because the logs do not show people, or what the robot
             waits for.
         level: Logged and rolled-out durations of the logged orders, to correct estimates if the logs do not show
@@ -119,7 +115,6 @@ class Check:
     coverage_held_out: float | None
     levels: tuple[float, float]
     order_error: float | None = None
-    operator: OperatorModel | None = None
     unseen_error: float = 0.0
     spread: float = 1.0
     level: LogLevel | None = None
@@ -130,11 +125,6 @@ class Check:
     def look_at(self) -> str:
         """Where to look for the cause of a bias first: the first words of a sentence on it."""
         return "look at"
-
-    @property
-    def anywhere(self) -> float:
-        """Share of operator tracks that start at any instant (`operator_tracks`)."""
-        return self.operator.anywhere if self.operator is not None else 0.0
 
     @property
     def factor(self) -> float:
@@ -196,8 +186,7 @@ class Check:
     @property
     def doubted_bias(self) -> float:
         """Bias that nothing corrects, as a share of the duration; it widens the interval."""
-        departure = self.operator.departure if self.operator is not None else 0.0
-        return departure + (abs(self.crossed_bias) if self._reacts else 0.0) + self.open_wait
+        return (abs(self.crossed_bias) if self._reacts else 0.0) + self.open_wait
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -249,8 +238,7 @@ class Check:
         """Return the validation as plain JSON values."""
         out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
         level = self.level.factor if self.level else None
-        operator = self.operator.to_dict() if self.operator else None
-        return out | {"findings": [one.to_dict() for one in self.findings], "operator": operator, "level": level}
+        return out | {"findings": [one.to_dict() for one in self.findings], "level": level}
 
 
 @one_thread()
@@ -282,13 +270,11 @@ def check_rollout(
     longest_s = 3.0 * max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
     usual_s = min(ENOUGH * float(logged_durations(dataset, sequences).max()), longest_s)
     for until_s in (usual_s, longest_s):
-        entries = operator_tracks(dataset, horizon_s=until_s, anywhere=None, model=model)
-        sequences = _some([sequence for sequence in sequences if sequence.name in entries.executions], most)
+        tracks = operator_tracks(dataset, horizon_s=until_s, model=model)
+        sequences = _some([sequence for sequence in sequences if sequence.name in tracks.executions], most)
         _enough(dataset, len(sequences))
-        entries = only_tracks(entries, {sequence.name for sequence in sequences})
-        tracks = beginnings(entries)
-        own, whole = with_own_tracks(model, dataset, sequences, nominal, entries)
-        _, halves = with_own_tracks(model, dataset, [first_half(one) for one in sequences], nominal, entries)
+        tracks = only_tracks(tracks, {sequence.name for sequence in sequences})
+        own = with_own_tracks(model, dataset, sequences, nominal, tracks)
         others = with_other_tracks(model, dataset, sequences, nominal, tracks, seed=seed)
         if np.isfinite(own).all() and not np.isinf(others).any():
             break
@@ -298,12 +284,8 @@ def check_rollout(
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     others[np.isinf(others)] = np.nan
     part = model.unseen_error if isinstance(model, OnStates) else 0.0
-    level = None
-    if part:
-        names, every = [sequence.name for sequence in sequences], others
-        if entries.at_any_instant:
-            every = with_other_tracks(model, dataset, sequences, nominal, entries, seed=seed)
-        level = log_level(names, logged, every, entries.executions)
+    names = [sequence.name for sequence in sequences]
+    level = log_level(names, logged, others, tracks.executions) if part else None
     found = replace(compare(logged, own, others, held_out, levels), level=level)
     some = np.isfinite(others).any(axis=1)
     means = np.full(len(sequences), np.nan)
@@ -312,10 +294,9 @@ def check_rollout(
     return replace(
         found,
         order_error=_order_error(model, dataset, sequences, others, means, tracks) if level is None else None,
-        operator=operator_model([sequence.name for sequence in sequences], [whole, halves], entries),
         unseen_error=unseen_error,
         spread=spread,
-        open_wait=open_wait(dataset, [each.name for each in sequences], float(logged.mean())),
+        open_wait=open_wait(dataset, names, float(logged.mean())),
     )
 
 

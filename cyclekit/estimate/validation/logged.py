@@ -28,15 +28,7 @@ OTHERS = 40
 
 def only_tracks(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
     """Return the tracks of these executions, in the same order."""
-    return _kept(tracks, [k for k, name in enumerate(tracks.executions) if name in names])
-
-
-def beginnings(tracks: OperatorTracks) -> OperatorTracks:
-    """Return the tracks that start where their executions start."""
-    return _kept(tracks, list(range(len(set(tracks.executions)))))
-
-
-def _kept(tracks: OperatorTracks, kept: list[int]) -> OperatorTracks:
+    kept = [k for k, name in enumerate(tracks.executions) if name in names]
     return replace(
         tracks,
         xyz_m=tracks.xyz_m[kept],
@@ -61,11 +53,6 @@ def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> li
     return found
 
 
-def first_half(sequence: TaskSequence) -> TaskSequence:
-    """Return the first half of the tasks of a sequence, at least one."""
-    return replace(sequence, places=sequence.places[: 1 + max(1, len(sequence.tasks) // 2)])
-
-
 def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
     """Return the logged durations of these executions, shape (E,), s."""
     durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
@@ -78,40 +65,25 @@ def with_own_tracks(
     sequences: Sequence[TaskSequence],
     nominal: Mapping[str, NominalTask],
     tracks: OperatorTracks,
-) -> tuple[Vector, tuple[Vector, Vector]]:
-    """Roll out each execution with its own operator track, from its start, and its own standstills.
-
-    Each of the other tracks (those that are not `beginnings`) is combined with one of these executions in turn, whoever
-    its operator is.
+) -> Vector:
+    """Roll out each execution with its own operator track and its own standstills.
 
     Returns:
-        Durations with the own tracks, (E,), s; these as shares of the duration without safety loss, (E,); and the same
-        shares for the other tracks, (K - beginnings,). A cycle that does not end within its track has duration inf, and
-        the length of the track counts in its share.
+        Durations, shape (E,), s; inf if a cycle does not end within its track.
     """
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
     standstills = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
-    own = [np.maximum(standstills[sequence.name][: len(sequence.tasks)], 1e-3) for sequence in sequences]
-    begins = _own_tracks(sequences, tracks)
-    later = np.arange(len(set(tracks.executions)), len(tracks.executions))
-    which = np.append(np.arange(len(programs)), np.arange(len(later)) % len(programs))
-    order = np.argsort(which, kind="stable")
-    counts, track = np.bincount(which), np.append(begins, later).astype(np.int64)
-    drawn = [np.tile(stand, (count, 1)) for stand, count in zip(own, counts.tolist(), strict=True)]
-    dynamics = Dynamics.of(dataset.card.dynamics, model)
-    simulated = simulate(model, programs, which[order], track[order], drawn, tracks, dynamics=dynamics, fine=True)
-    free_s = np.array([sum(t.nominal_s for t in p.tasks) + stand.sum() for p, stand in zip(programs, own, strict=True)])
-    took_s = np.empty(len(which))
-    took_s[order] = simulated.duration_s
-    parts = np.minimum(took_s, tracks.step_s * tracks.xyz_m.shape[1]) / free_s[which]
-    return took_s[: len(programs)], (parts[: len(programs)], parts[len(programs) :])
+    own = [np.maximum(standstills[sequence.name], 1e-3)[None] for sequence in sequences]
+    track, dynamics = np.array(_own_tracks(sequences, tracks)), Dynamics.of(dataset.card.dynamics, model)
+    which = np.arange(len(programs))
+    return simulate(model, programs, which, track, own, tracks, dynamics=dynamics, fine=True).duration_s
 
 
 def _own_tracks(sequences: Sequence[TaskSequence], tracks: OperatorTracks) -> list[int]:
-    """Return the index of the first track of each execution."""
-    first = {name: index for index, name in reversed([*enumerate(tracks.executions)])}
-    return [first[sequence.name] for sequence in sequences]
+    """Return the index of the track of each execution."""
+    index = {name: number for number, name in enumerate(tracks.executions)}
+    return [index[sequence.name] for sequence in sequences]
 
 
 def with_other_tracks(

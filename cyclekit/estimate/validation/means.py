@@ -104,10 +104,6 @@ def visit_effect_for(ask: Question) -> VisitEffect | None:
     """Return the effect of visits that follow a place, if signals show people and the logs show such visits."""
     if ask.altered is not None or ask.check is None or ask.check.level is not None:
         return None
-    if (
-        ask.check.operator is None or ask.check.operator.as_logged
-    ):  # people come with the start of an execution, and their courses begin there
-        return None
     if not isinstance(ask.model, OnStates) or not ask.model.card.operator_signals:
         return None
     return visit_effect(ask.dataset)

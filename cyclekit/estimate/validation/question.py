@@ -45,8 +45,3 @@ class Question:
     check: Check | None
     altered: Altered | None
     engine: Engine
-
-    @property
-    def anywhere(self) -> float:
-        """Share of operator tracks that start at any instant."""
-        return self.check.anywhere if self.check else 0.0

@@ -6,8 +6,9 @@ within WINDOW_S after the robot left a place against all others, as Poisson proc
 The Statistical Analysis of Series of Events, 1966, chapter 9). Rates count only the time in which a visit can begin, so
 a robot that people hold up does not look like one that calls them.
 
-Few cells have such visits. They are used only where the likelihood gains far more than by chance, and executions that
-were left out are predicted better.
+Few cells have such visits. They are used only where the likelihood gains far more than by chance and than with the
+robot's times in another execution, and executions that were left out are predicted better. People who come at a time of
+the cycle, wherever the robot was, follow another execution's robot as well.
 """
 
 from __future__ import annotations
@@ -78,10 +79,11 @@ class PeopleInExecution:
             lost[where] = np.add.reduceat(self.lost_s, where)
         return starts, step_s * free, lost
 
-    def after(self, place: str) -> Bools:
-        """Return whether the robot left a place up to WINDOW_S before each sample, shape (T,)."""
-        left = np.array([when for name, when in zip(self.places, self.left_s, strict=True) if name == place])
-        since = self.t_s[:, None] - left
+    def after(self, place: str, robot: PeopleInExecution | None = None) -> Bools:
+        """Return whether a robot, its own unless given, left a place up to WINDOW_S before each sample, shape (T,)."""
+        robot = robot or self
+        left = np.array([when for name, when in zip(robot.places, robot.left_s, strict=True) if name == place])
+        since = (self.t_s - self.t_s[0])[:, None] - (left - robot.t_s[0])
         return np.asarray(((since >= 0.0) & (since < WINDOW_S)).any(axis=1))
 
 
@@ -142,23 +144,32 @@ def visit_effect(dataset: Dataset) -> VisitEffect | None:
 def visit_effect_of(logged: Sequence[PeopleInExecution]) -> VisitEffect | None:
     """Return the effect of the place that visits follow most clearly; None if the logs do not show one."""
     starts = [one.starts() for one in logged]
+    turned = ([*logged[number:], *logged[:number]] for number in range(len(logged)))
+    other_robots = [next((robot for robot in some if robot.places != some[0].places), some[0]) for some in turned]
     best, found = MIN_GAIN, None
     for place in dict.fromkeys(name for one in logged for name in one.places[:-1]):
         after = [one.after(place) for one in logged]
-        counts = np.array([
-            [(begun & here).sum(), (free_s * here).sum(), (begun & ~here).sum(), (free_s * ~here).sum()]
-            for (begun, free_s, _), here in zip(starts, after, strict=True)
-        ])  # fmt: skip
+        counts = _counts(starts, after)
         mine, mine_s, others, others_s = counts.sum(axis=0)
         if min(mine, others) < MIN_VISITS or mine * others_s <= others * mine_s:
             continue
-        gain = float(_gains(counts, counts).sum())
+        another = _counts(starts, [one.after(place, robot) for one, robot in zip(logged, other_robots, strict=True)])
+        gain = float(_gains(counts, counts).sum() - _gains(another, another).sum())
         if gain > best and _holds_elsewhere(counts):
             mine_lost = [lost[begun & here] for (begun, _, lost), here in zip(starts, after, strict=True)]
             others_lost = [lost[begun & ~here] for (begun, _, lost), here in zip(starts, after, strict=True)]
             effect = _effect(place, logged, counts, np.concatenate(mine_lost), np.concatenate(others_lost))
             best, found = (gain, effect) if effect is not None else (best, found)
     return found
+
+
+def _counts(starts: Sequence[tuple[Bools, Vector, Vector]], after: Sequence[Bools]) -> Floats:
+    """Return visits begun and free time after a place, and the same of the rest, shape (executions, 4)."""
+    rows = [
+        [(begun & here).sum(), (free_s * here).sum(), (begun & ~here).sum(), (free_s * ~here).sum()]
+        for (begun, free_s, _), here in zip(starts, after, strict=True)
+    ]
+    return np.array(rows)
 
 
 def _effect(

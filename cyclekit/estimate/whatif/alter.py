@@ -258,8 +258,7 @@ def _as_often(
     name: str, frequency: float, tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel
 ) -> OperatorTracks:
     away = _away(tracks, tasks, safety)
-    own = np.arange(away.shape[1]) < tracks.logged[:, None]
-    share = float(away.mean() if tracks.at_any_instant else away[own].mean())
+    share = float(away[np.arange(away.shape[1]) < tracks.logged[:, None]].mean())
     stretch = (1 / frequency - (1 - share)) / share if share > 0 else 0.0
     if share < 0.02 or stretch <= 0:
         seen = f"change {name!r}: the operator is away {percent(share)} of the time, so the operator cannot come "

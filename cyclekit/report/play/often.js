@@ -38,7 +38,7 @@ const asOften = (frequency, away, samples) => {
   let own = 0;
   let gone = 0;
   for (let k = 0; k < COUNT; k += 1) {
-    const last = facts.tracks.circles ? samples : Math.min(facts.tracks.logged[k], samples);
+    const last = Math.min(facts.tracks.logged[k], samples);
     own += last;
     for (let i = 0; i < last; i += 1) gone += away[k * samples + i];
   }

@@ -93,8 +93,8 @@ def tables_of(page: PageInputs, model: SafetyModel, shown: Sequence[CycleEstimat
     model, check = on_states_of(model, dataset), shown[0].check
     legs = nominal_tasks(dataset)
     nominal_s = max(each.nominal_s + each.dwell_s + each.wait_s for each in shown)
-    operator, anywhere = shown[0].operator, check.anywhere if check else 0.0
-    tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, operator=operator, anywhere=anywhere, model=model)
+    operator = shown[0].operator
+    tracks = operator_tracks(dataset, horizon_s=LONGER * nominal_s, operator=operator, model=model)
     arrays: Arrays = {}
     facts = settings_of(page, model, dataset, tracks) | scaling_source(model, dataset, legs, tracks, arrays)
     facts["kind"] = "robot"
@@ -119,7 +119,6 @@ def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: 
             "step_s": tracks.step_s,
             "logged": tracks.logged.tolist(),
             "scaling": None if tracks.scaling is None else [None if s != s else s for s in tracks.scaling.tolist()],
-            "circles": tracks.at_any_instant,
         },
         "dynamics": vars(dynamics),
         "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S, "nominal_s": STEP_S},

@@ -276,10 +276,16 @@ class Dataset:
         return self.every_task().filter(pl.col("start_place").is_not_null())
 
     def uninterrupted_tasks(self) -> pl.DataFrame:
-        """Return `tasks` without those of interrupted executions, except for tasks that no other execution has."""
-        some = [one.execution for one in self.card.executions if one.interrupted_s]
-        other = ~pl.col("execution").is_in(some)
-        return self.tasks().filter(other | ~other.any().over("task")) if some else self.tasks()
+        """Return `tasks` without those of interrupted executions and those whose process the end of a log cuts.
+
+        Tasks that no other execution has stay.
+        """
+        stopped, cut = (
+            pl.col("execution").is_in([one.execution for one in self.card.executions if of(one)])
+            for of in (lambda one: one.interrupted_s, lambda one: not one.complete)
+        )
+        whole = ~stopped & ~(cut & (pl.col("index") == pl.col("index").max().over("execution")))
+        return self.tasks().filter(whole | ~whole.any().over("task"))
 
     def every_task(self) -> pl.DataFrame:
         """Return one row per task of either agent, found in motion or from a task list (table TASKS)."""

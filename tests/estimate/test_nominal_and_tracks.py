@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -18,6 +18,12 @@ from cyclekit.estimate.limits import limits_of_logs
 from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.robot.nominal import STEP_S, nominal_tasks, slider_losses, usual_slider
 from cyclekit.estimate.robot.support import Support
+from cyclekit.estimate.validation.history import TaskTimes
+from cyclekit.ingest.ingest import ingest
+from cyclekit_sim import write_short_cycles
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_nominal_durations_are_those_that_the_program_asks_for(logged: Dataset, truth: pl.DataFrame):
@@ -251,3 +257,21 @@ def test_an_estimate_of_both_agents_uses_no_execution_without_an_operator(hand_m
     said = limits_of_logs(found, model, both)
     assert [each for each in said if "full speed assumed" in each] == []
     assert "in 1 of 2 executions no operator was seen: they are not used" in said
+
+
+def test_a_process_that_the_end_of_a_log_cuts_does_not_make_processes_short(tmp_path: Path):
+    """The log ends 0.2 s after the robot has reached a place, where its process takes a second."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    write_short_cycles(logs, 24, "tracker")
+    rows = pl.read_csv(logs / "robot.csv", separator=" ")
+    tcp_m = rows.select(pl.col("^actual_TCP_pose_[012]$")).to_numpy()
+    arrives = np.flatnonzero(np.diff(np.linalg.norm(np.diff(tcp_m, axis=0), axis=1) == 0.0, prepend=False))[::2]
+    rows.head(int(arrives[-2]) + 5).write_csv(logs / "robot.csv", separator=" ", float_precision=5)
+    ingest([logs], tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    cut = dataset.tasks().filter(agent="robot").row(-1, named=True)
+    assert cut["dwell_s"] < 0.5
+    assert nominal_tasks(dataset)[cut["task"]].standstill_s.min() == pytest.approx(1.0, abs=0.1)
+    times = TaskTimes(dataset)
+    assert times.sum_s([cut["task"]]) > nominal_tasks(dataset)[cut["task"]].nominal_s + 0.9

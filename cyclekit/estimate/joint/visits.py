@@ -12,6 +12,7 @@ import polars as pl
 from cyclekit.estimate.joint.long_stays import OperatorVisit, parted_stays, unseen_walks
 from cyclekit.estimate.joint.stop_overs import StopOvers
 from cyclekit.estimate.operator.tracks import logged_tracks
+from cyclekit.learning.censored import as_whole
 from cyclekit.learning.coupling.events.errands import joined
 from cyclekit.learning.coupling.events.trips import LONG, LONG_S, part_trips, usual_walks_s
 from cyclekit.learning.coupling.events.visits import PlaceVisit
@@ -151,13 +152,24 @@ class Segments:
         return np.array(self._stretch)
 
     def work_s(self, place: str) -> Vector:
-        """Return durations of stays at a place, ascending, shape (N,), s, except those cut by the ends of executions.
+        """Return durations of stays at a place, ascending, shape (N,), s, except those begun before their execution.
 
-        Two consecutive tasks at one place appear as one long stay. Executions with the most stays there have no such
+        One that the end of its execution cuts lasted at least so long; a place where all are cut has none. Two
+        consecutive tasks at one place appear as one long stay. Executions with the most stays there have no such
         stays: if their stays are significantly shorter, only these are used.
         """
         stays, single = self._single(place)
-        return np.sort(stays if single is None else single)
+        if single is not None:
+            return np.sort(single)
+        cut = [(visits[-1], self._pace_of(name)[0]) for name, visits in self._visits.items() if visits]
+        cut_s = [
+            (visit.leaves_s - visit.arrives_s) / pace
+            for visit, pace in cut
+            if visit.place == place and visit.arrives_s > 0.0
+        ]
+        if not len(stays):
+            return stays
+        return as_whole(np.append(stays, cut_s), np.repeat([False, True], [len(stays), len(cut_s)]))
 
     def _single(self, place: str) -> tuple[Vector, Vector | None]:
         """Return all stays at a place, and those of executions with the most of them, if significantly shorter, s."""

@@ -28,7 +28,7 @@ from cyclekit.learning.coupling.conditions.conditions import FEW_DECIDED, KEPT, 
 from cyclekit.learning.coupling.conditions.departures import USUAL, Condition, Departures, Gate
 from cyclekit.learning.coupling.conditions.given_signals import Waited, since_given, waited_visits
 from cyclekit.learning.coupling.conditions.in_turn import find_in_turn
-from cyclekit.learning.coupling.conditions.observed import TIE_S, distribution, lag_of, own_work_decides
+from cyclekit.learning.coupling.conditions.observed import TIE_S, lag_of, own_work, own_work_decides
 from cyclekit.learning.coupling.conditions.together import NeededTogether, needed_together
 from cyclekit.learning.coupling.conditions.waiting_spots import is_spot, possible_spots, spots_of, with_spots
 from cyclekit.learning.coupling.events.errands import errand_places, with_errands
@@ -367,7 +367,7 @@ def _parts(
     since = np.array([column[::step] for column in (found.left_s - found.own_s, *found.since_s.values())])
     decided, stays_s = decided_by(since), (found.left_s - found.own_s + found.more_s)[::step]
     if own_work_decides(found.gate, stays_s, decided == 0):
-        own_s = distribution(stays_s, decided == 0)
+        own_s = own_work(found, stays_s, decided == 0)
     else:
         shortest_s, low, middle = np.quantile(stays_s, (0.0, 0.1, 0.3)).tolist()
         other_s = min(beside.usual_s, shortest_s) if np.isfinite(beside.usual_s) else 0.5 * shortest_s

@@ -20,7 +20,7 @@ from cyclekit.learning.task_times.partly import needed_together
 from cyclekit.learning.task_times.planned_starts import starts_before_plan
 from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
-from cyclekit.learning.task_times.runs import Run, logged_runs, one_at_a_time, without_failures
+from cyclekit.learning.task_times.runs import Run, as_if_whole, every_run, one_at_a_time, without_failures
 from cyclekit.learning.task_times.starts import Starts, learn_starts
 from cyclekit.parallel.one_thread import one_thread
 
@@ -56,7 +56,8 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
         DatasetError: There are too few complete executions, or none has a task of another one.
         ConfigError: The cell file tells of waits at places, or of a task that no list has.
     """
-    runs, agents = logged_runs(dataset)
+    every, agents = every_run(dataset)
+    runs, cut = ([run for run in every if run.cut is ends] for ends in (False, True))
     if len(runs) < MIN_EXECUTIONS:
         msg = f"{dataset.place}: executions whose tasks all have an end: {len(runs)}; {MIN_EXECUTIONS} are needed"
         raise DatasetError(msg, cure=f"Ingest more logs. What is known: {command_line('inspect', dataset.place)}")
@@ -65,7 +66,7 @@ def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | No
     _check_waits(runs, agents, given)
     single = one_at_a_time(runs, MIN_EXECUTIONS)
     clean = without_failures(single, MIN_EXECUTIONS)
-    model = learn_runs(clean, agents, given=given, seed=seed, folds=FOLDS, progress=progress)
+    model = learn_runs(clean, agents, cut=cut, given=given, seed=seed, folds=FOLDS, progress=progress)
     left_out = {"failed": len(single) - len(clean), "at_once": len(runs) - len(single)}
     return structs.replace(model, dataset=dataset.path.name, **left_out)
 
@@ -97,6 +98,7 @@ def learn_runs(
     runs: Sequence[Run],
     agents: Mapping[str, str],
     *,
+    cut: Sequence[Run] = (),
     given: Sequence[Wait] = (),
     seed: int = 0,
     folds: int = FOLDS,
@@ -107,6 +109,7 @@ def learn_runs(
     Args:
         runs: At least MIN_EXECUTIONS.
         agents: `robot` or `operator` by agent name.
+        cut: Other executions, within whose tasks a log ends: they tell how long tasks take, if no clock was off.
         given: What tasks do not wait for, as the cell file tells.
         seed: Seed of random draws.
         folds: Number of cross-validation folds over the orders; 0: no held-out orders.
@@ -116,11 +119,14 @@ def learn_runs(
     agents = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
     told = {agent: [wait for wait in given if wait.agent == kind] for agent, kind in agents.items()}
     runs, clocks = in_one_clock(runs, agents, told)
-    model = structs.replace(_learned(runs, agents, told), clocks=clocks)
+    cut = () if clocks else cut
+    model = structs.replace(_learned(runs, agents, told, cut), clocks=clocks)
     tell(1.0 / (folds + 1), "task times")
     if not folds:
         return model
-    judged = _judged(runs, agents, told, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
+    judged = _judged(
+        runs, agents, told, cut, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders")
+    )
     return structs.replace(model, held_out=judged)
 
 
@@ -144,12 +150,15 @@ def rolled_run(model: TaskModelCard, run: Run, *, cycles: int = CYCLES, seed: in
     return roll_plan(model, plan_of(run), cycles=cycles, seed=seed, pace=pace).duration_s
 
 
-def _learned(runs: Sequence[Run], agents: Mapping[str, str], told: Mapping[str, Sequence[Wait]]) -> TaskModelCard:
+def _learned(
+    runs: Sequence[Run], agents: Mapping[str, str], told: Mapping[str, Sequence[Wait]], cut: Sequence[Run]
+) -> TaskModelCard:
     pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
     joint = joint_tasks(runs)
     runs = marked(runs, joint)
-    rates = fit_rates(runs, pairs)
-    sessions = _sessions(runs)
+    more = as_if_whole(cut, runs)
+    rates = fit_rates([*runs, *more], pairs)
+    sessions = _sessions([*runs, *more])
     paces = {agent: _pace(rates, agent, sessions) for agent, kind in agents.items() if kind == "operator"}
     pace = {agent: found for agent, found in paces.items() if found}
     starts = {agent: learn_starts(runs, agent, told[agent]) for agent in sorted({agent for agent, _ in pairs})}
@@ -240,6 +249,7 @@ def _judged(
     runs: Sequence[Run],
     agents: Mapping[str, str],
     told: Mapping[str, Sequence[Wait]],
+    cut: Sequence[Run],
     seed: int,
     folds: int,
     tell: Callable[[float], None],
@@ -256,7 +266,7 @@ def _judged(
     for fold in range(folds):
         held = [run for run, of in zip(runs, fold_of, strict=True) if of == fold]
         rest = [run for run, of in zip(runs, fold_of, strict=True) if of != fold]
-        model = _learned(rest, agents, told)
+        model = _learned(rest, agents, told, cut)
         models.append(model)
         rolled: dict[tuple[object, ...], Vector] = {}  # an order often repeats with the same plan: roll it once
         for run in held:

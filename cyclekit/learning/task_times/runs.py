@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.learning.censored import as_whole
 from cyclekit.schema import MOST_FAILED
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class DoneTask:
         counts: Whether its duration is one of this task: it did not fail, and did not wait for the end of another.
         mate: Agent and task of the other side of a joint task.
         joined_s: When the agent of a joint task was free; NaN if it need not start together with one.
+        cut: Whether the log ends within it: it lasted at least to `end_s`.
     """
 
     task: str
@@ -43,6 +45,7 @@ class DoneTask:
     counts: bool = True
     mate: tuple[str, str] | None = None
     joined_s: float = float("nan")
+    cut: bool = False
 
     @property
     def took_s(self) -> float:
@@ -71,6 +74,11 @@ class Run:
     begin_s: float = 0.0
 
     @property
+    def cut(self) -> bool:
+        """Whether the log ends within one of its tasks; what would have come later is then unknown."""
+        return any(done.cut for some in self.tasks.values() for done in some)
+
+    @property
     def order(self) -> tuple[tuple[str, ...], ...]:
         """The order of tasks of each agent, agents sorted by name."""
         return tuple((agent, *(done.task for done in self.tasks[agent])) for agent in sorted(self.tasks))
@@ -83,7 +91,13 @@ class Run:
 
 
 def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
-    """Return the executions in which all tasks end, ordered by time, and `robot` or `operator` by agent name.
+    """Return the executions in which all tasks end, ordered by time, and `robot` or `operator` by agent name."""
+    runs, agents = every_run(dataset)
+    return [run for run in runs if not run.cut], agents
+
+
+def every_run(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
+    """Return all executions, ordered by time, those that a log cuts included, and `robot` or `operator` by agent name.
 
     Names of an agent's tasks that differ only in case, spaces or underscores are those of one task. A failed attempt
     is a task of its own, as it tells no time of the task.
@@ -97,9 +111,8 @@ def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
     rows = rows.with_columns(failed=fails.fill_null(value=False) if told else pl.lit(value=False))
     found: list[Run] = []
     for (name,), mine in rows.group_by(["execution"], maintain_order=True):
-        if mine["end_s"].null_count():
-            continue
         begin = float(mine["start_s"].min())  # type: ignore[arg-type]  # a number
+        last_s = max(float(mine[at].max() or begin) for at in ("start_s", "end_s")) - begin  # type: ignore[arg-type]
         times = mine.select(
             "agent_name", "task", "failed", *(pl.col(at) - begin for at in ("start_s", "end_s", "planned_start_s"))
         )
@@ -107,13 +120,49 @@ def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
         for agent, task, failed, start_s, end_s, planned_s in times.iter_rows():
             planned = np.nan if planned_s is None else planned_s
             task = spelling[agent, _plain(task)] + (FAILED if failed else "")
-            tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
+            one = DoneTask(task, start_s, last_s if end_s is None else end_s, planned, cut=end_s is None)
+            tasks.setdefault(agent, []).append(one)
         done = {agent: tuple(some) for agent, some in tasks.items()}
+        if any(one.cut for some in done.values() for one in some[:-1]):  # its agent went on: its end was not logged
+            continue
         found.append(Run(str(name), done, failed=bool(mine["failed"].any()), begin_s=begin))
     at = {one.execution: number for number, one in enumerate(dataset.card.executions)}
     session = {one.execution: one.session for one in dataset.card.executions}
     found.sort(key=lambda run: at[run.name])
-    return [replace(run, number=number, session=session[run.name]) for number, run in enumerate(found)], agents
+    whole = np.cumsum([not run.cut for run in found]) - 1
+    numbers = np.maximum(whole, 0).tolist()
+    return [replace(run, number=n, session=session[run.name]) for n, run in zip(numbers, found, strict=True)], agents
+
+
+def as_if_whole(cut: Sequence[Run], runs: Sequence[Run]) -> list[Run]:
+    """Return executions with each task that the log cuts as long as a whole one that lasted longer.
+
+    Those of one task get evenly spread quantiles of them.
+
+    Args:
+        cut: Executions within whose tasks the log ends.
+        runs: Whole executions; tasks that none of these has make no execution.
+    """
+    known = _tasks(runs)
+    cut = [run for run in cut if _tasks([run]) <= known]
+    lasted: dict[tuple[str, str], list[DoneTask]] = {}
+    for run in (*runs, *cut):
+        for agent, some in run.tasks.items():
+            for done in some:
+                lasted.setdefault((agent, done.task), []).append(done)
+    length_s: dict[int, float] = {}
+    for some in lasted.values():
+        took_s, unended = np.array([done.took_s for done in some]), [done for done in some if done.cut]
+        whole_s = as_whole(took_s, np.array([done.cut for done in some]))
+        for number, done in enumerate(unended):
+            longer_s = whole_s[whole_s > done.took_s]
+            at = int((number + 0.5) / len(unended) * len(longer_s))
+            length_s[id(done)] = float(longer_s[at]) if len(longer_s) else done.took_s
+
+    def finished(done: DoneTask) -> DoneTask:
+        return replace(done, end_s=done.start_s + length_s[id(done)]) if done.cut else done
+
+    return [replace(run, tasks={agent: tuple(map(finished, some)) for agent, some in run.tasks.items()}) for run in cut]
 
 
 def _spelling(rows: pl.DataFrame) -> dict[tuple[str, str], str]:

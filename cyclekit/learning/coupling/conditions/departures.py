@@ -65,6 +65,8 @@ class Departures:
         goal: Next place of each, shape (N,).
         more_s: How much longer the operator's own work usually is before going to that place, shape (N,) or (1,), s:
             `own_s` is that much later, so that own work is comparable between next places.
+        stayed_s: How long the operator had been at the gate's place when an execution ended, at his latest pace, shape
+            (M,), s.
     """
 
     gate: Gate
@@ -78,6 +80,7 @@ class Departures:
     alike: dict[Condition, Alike] = field(default_factory=dict)
     goal: Names = field(default_factory=lambda: np.empty(0, np.str_))
     more_s: Vector = field(default_factory=lambda: np.zeros(1))
+    stayed_s: Vector = field(default_factory=lambda: np.empty(0))
 
     @property
     def found(self) -> list[Condition]:
@@ -136,6 +139,7 @@ def departures_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Depa
     """Return the departures of every possible gate of an agent, with own work comparable between places."""
     rows: dict[Gate, list[tuple[int, int, int, float, float, float]]] = {}
     goals: dict[Gate, list[str]] = {}
+    stayed: dict[Gate, list[float]] = {}
     number = 0
     for index, course in enumerate(courses):
         counts: dict[Gate, int] = {}
@@ -150,7 +154,12 @@ def departures_of(courses: Sequence[ExecutionVisits], agent: Agent) -> list[Depa
                     rows.setdefault(gate, []).append((number, index, occurrence, own_s, left_s, came_s))
                     goals.setdefault(gate, []).append("" if after is None else after.place)
             number += 1
+        if agent == "operator" and len(visits) > 1 and course.visits["robot"]:
+            stayed_s = course.visits["robot"][-1].arrived_s - visits[-1].arrived_s - visits[-1].away_s
+            stayed.setdefault(Gate(agent, "leave", visits[-1].place), []).append(stayed_s / course.pace)
     found = [_departures(gate, some, goals[gate]) for gate, some in rows.items()]
+    for each in found:
+        each.stayed_s = np.array([s for s in stayed.get(each.gate, ()) if s > 0.0])
     return _comparable(found)
 
 

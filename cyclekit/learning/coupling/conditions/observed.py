@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.learning.censored import as_whole
 from cyclekit.learning.coupling.conditions.candidates import HELD
 from cyclekit.learning.coupling.conditions.conditions import KEPT, decided_by
 from cyclekit.learning.coupling.conditions.lags import quantiles, reverse_kaplan_meier
@@ -60,6 +61,22 @@ def lag_of(found: Departures, condition: Condition, seen_s: Vector, gate: Gate |
     values = quantiles(seen, mass, shortest=not condition.partly)
     every = np.repeat(decided, step)[: len(found.left_s)]
     return LagSeen(values, min(1.0, round(float(mass.sum()), 4)), every)
+
+
+def own_work(found: Departures, stays_s: Vector, decided: Bools) -> tuple[float, ...]:
+    """Return the quantiles of own work that decided some departures; where it alone does, also of stays that are cut.
+
+    Args:
+        found: The departures.
+        stays_s: Duration of the stay before each of them, or some, shape (N,), s; NaN does not count.
+        decided: Whether own work decided it, shape (N,).
+    """
+    if found.since_s or not len(found.stayed_s):
+        return distribution(stays_s, decided)
+    stays_s = stays_s[np.isfinite(stays_s)]
+    cut = np.repeat([False, True], [len(stays_s), len(found.stayed_s)])
+    whole_s = as_whole(np.append(stays_s, found.stayed_s), cut)
+    return distribution(whole_s, np.ones(len(whole_s)))
 
 
 def distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:

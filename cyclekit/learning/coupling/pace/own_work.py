@@ -17,6 +17,7 @@ from cyclekit.dataset.cards.coupling import OwnWorkCard
 from cyclekit.learning.coupling.conditions.conditions import KEPT
 from cyclekit.learning.coupling.conditions.departures import least_gain
 from cyclekit.learning.coupling.conditions.lags import LEVELS, deciding_causes, quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.conditions.observed import own_work
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,9 +28,8 @@ if TYPE_CHECKING:
 
 MIN_OWN = 5.0
 """Minimum number of departures of a group that own work decided."""
-MIN_READY, MIN_GAIN_AT_START = 10, 2.0
-"""Minimum number of executions begun at a place, and of other visits to it, to tell them apart; the minimum gain in
-log-likelihood."""
+MIN_READY = 10
+"""Minimum number of executions begun at a place, and of other visits to it, to tell them apart."""
 AT_START_S = 0.5
 """Maximum time, s, from the start of an execution to a stay that counts as begun before the start."""
 SHRINK = 1.0
@@ -72,9 +72,9 @@ def own_work_by_place(
 def rest_at_start(
     courses: Sequence[ExecutionVisits], found: Departures, own_s: Sequence[float]
 ) -> tuple[tuple[float, ...], OwnWorkCard] | None:
-    """Return the operator's own work where he came during an execution, and where he began it; None if alike.
+    """Return the operator's own work where he came during an execution, and where he began it; None if there are few.
 
-    What is left of it when an execution begins is less than the whole, so less evidence than elsewhere is enough.
+    When an execution begins, an unknown part of it may be done: that it is whole then is not assumed.
 
     Args:
         courses: The executions.
@@ -92,12 +92,9 @@ def rest_at_start(
     split = _split(since, later)
     causes = deciding_causes(split)
     decided = causes.share.argmax(axis=0)
-    gain = float((causes.log_likelihood - deciding_causes(since).log_likelihood).sum())
-    if gain < MIN_GAIN_AT_START or np.count_nonzero(decided == 1) < MIN_OWN:
+    if np.count_nonzero(decided == 1) < MIN_OWN:
         return None
-    known = np.isfinite(split[1])
-    some = np.where(known, split[1], 0.0)
-    whole = quantiles(some, reverse_kaplan_meier(some, (decided == 1) * 1.0, known))
+    whole = own_work(found, split[1], decided == 1)
     card = _card("before", "", split[0], (decided == 0) * 1.0, own_s)
     return None if card is None else (whole, card)
 

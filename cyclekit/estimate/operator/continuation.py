@@ -52,6 +52,8 @@ MAX_EXCESS = 1.5
 """Maximum difference of a candidate beyond that of the best one, units."""
 BLEND_S = 1.0
 """Time over which the jump between two tracks is smoothed, s; at most the length of the shortest stretch."""
+EVEN = 1e-6
+"""Units by which equally similar stretches differ, so that another end takes others of them."""
 AT_ONCE = 2_000_000
 """Maximum number of differences between states in memory at once."""
 
@@ -93,8 +95,10 @@ class Continuation:
         self._at = np.concatenate([np.empty(0, np.int64), *instants])
         self._states = np.hstack([logs.states(self._at, self._kinds), self._elapsed(logs.spell[self._at])[:, None]])
         self._known = (logs.activity[self._at] >= 0) * (0.5 * OTHER_TASK**2)
-        self._begun_before = ITSELF**2 * (self._at - logs.spell[self._at] == logs.first[self._owner])
-        self._owners, self._begins = np.unique(self._owner, return_index=True)
+        since = self._at - logs.spell[self._at]
+        self._begun_before = ITSELF**2 * (since == logs.first[self._owner])
+        self._begins = np.unique(since, return_index=True)[1]
+        self._owners = self._owner[self._begins]
 
     def extend(
         self, begun: Sequence[Stretch], owners: Sequence[int], length: int, *, seed: int = 0
@@ -167,8 +171,12 @@ class Continuation:
             squares = (some**2).sum(axis=1)[:, None] + (self._states**2).sum(axis=1) - 2.0 * some @ self._states.T
             unknown = np.asarray(~some[:, doing].any(axis=1), dtype=np.float64)
             squares += self._begun_before - unknown[:, None] * self._known  # a task that is not known may be any
+            squares += ITSELF**2 * (self._states[:, -1] < some[:, -1:] - TIME_GRID)
             away = np.sqrt(np.maximum(np.minimum.reduceat(squares, self._begins, axis=1), 0.0))
             away += ITSELF * (self._owners == ends[first : first + at_once, None])
+            away += (
+                EVEN * np.modf(0.618 * np.arange(len(self._begins)) + 0.755 * ends[first : first + at_once, None])[0]
+            )
             best = np.argsort(away, axis=1, kind="stable")[:, :CANDIDATES]
             away = np.take_along_axis(away, best, axis=1)
             counts.append((away <= away[:, :1] + MAX_EXCESS).sum(axis=1))

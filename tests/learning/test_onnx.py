@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec import structs
+from ruled import near, ruled
 
 from cyclekit.cli import run
 from cyclekit.errors import ModelError
@@ -14,6 +17,7 @@ from cyclekit.learning.networks import onnx_file
 from cyclekit.learning.networks.onnx_file import write_onnx
 from cyclekit.learning.networks.saved import TrainedModel, save_model
 from cyclekit.learning.networks.weights import Weights
+from cyclekit.learning.rules.safety import predictor_of
 
 onnxruntime = pytest.importorskip("onnxruntime")
 LEVELS = (0.0, 0.5, 1.0)
@@ -64,3 +68,21 @@ def test_the_command_says_how_near_the_file_is(tmp_path, capsys):
     save_model(tmp_path / "m", model("classifier", "now"))
     assert run(["export", str(tmp_path / "m"), "--out", str(tmp_path / "m.onnx")]) == 0
     assert "of cyclekit" in capsys.readouterr().out
+
+
+def test_the_command_writes_the_network_that_stands_beside_a_rule(tmp_path, capsys):
+    made = model("classifier", "now")
+    made = replace(made, card=structs.replace(made.card, rule=ruled((0.0, near(1.0), None)).rule))
+    save_model(tmp_path / "m", made)
+    file = tmp_path / "network.onnx"
+    assert run(["export", str(tmp_path / "m"), "--out", str(file)]) == 1
+    assert "--network" in capsys.readouterr().err
+    assert run(["export", str(tmp_path / "m"), "--network", "--out", str(file), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["onnx"], document["difference"] < 1e-5) == (str(file), True)
+    assert run(["export", str(tmp_path / "m"), "--network", "--out", str(tmp_path / "network.json")]) == 1
+    assert "--out FILE.onnx" in capsys.readouterr().err
+    X = np.random.default_rng(1).uniform(-2, 2, (200, len(made.inputs))).astype(np.float32)
+    written = onnxruntime.InferenceSession(file).run(["scaling"], {"positions": X})[0][:, 0]
+    assert written == pytest.approx(made.predict(X), abs=1e-5)
+    assert not np.allclose(written, predictor_of(made).predict(X), atol=0.05)

@@ -84,7 +84,7 @@ def _saved(found: OrderPlan | TaskOrderPlan, expected_s: float, star: str = "") 
     return [
         f"expected {seconds(expected_s, found.against_s)}{star}; "
         f"{found.against} {seconds(found.against_s, expected_s)} on average",
-        f"saves {found.saving_in_words} a cycle",
+        f"saves {found.saving_in_words}" + (" a cycle" if any(found.saves_s) else ""),
     ]
 
 

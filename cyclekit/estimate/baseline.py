@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 LOGGED = "logged executions"
 """Name of a baseline of logged executions, beside `random orders`."""
+NOTHING = "nothing: it is the order of the logged executions"
+"""What an order saves against its own logs."""
 MIN_RUNS = 5
 """Minimum number of executions of the usual order to use it alone as baseline; below it, all of the same work."""
 LEVELS = (0.05, 0.5, 0.95)
@@ -84,11 +86,20 @@ class Baseline:
         logged_s = self.mean_s if self.as_logged_s is None else self.as_logged_s
         return replace(self, **times_s, as_logged_s=logged_s)
 
-    def saving(self, found: CycleEstimate) -> tuple[float, float, float]:
-        """Return what an estimate saves against this, s, with the 95 % interval of two independent means."""
+    def is_own(self, found: CycleEstimate) -> bool:
+        """Return whether these are logged executions of the estimate's own order: the model's error is no saving."""
+        return self.order is not None and self.executions > 0 and self.order == _order_of(found)
+
+    def compared(self, found: CycleEstimate) -> tuple[float, tuple[float, float, float]]:
+        """Return the mean to compare an estimate with, and what that saves with the 95 % interval of two means, s.
+
+        An order saves nothing against its own logs.
+        """
+        if self.is_own(found):
+            return self.mean_s, (0.0, 0.0, 0.0)
         saved_s = self.mean_s - found.expected_s
         off_s = float(np.hypot(self.high_s - self.low_s, found.expected_high_s - found.expected_low_s)) / 2
-        return saved_s, saved_s - off_s, saved_s + off_s
+        return self.mean_s, (saved_s, saved_s - off_s, saved_s + off_s)
 
     @property
     def missed_share(self) -> float | None:

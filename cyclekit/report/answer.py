@@ -51,7 +51,8 @@ def section(page: PageInputs) -> dict[str, Any]:
             logged |= {"headline": said["headline"], "sentences": [*said["lead"], *logged["sentences"]]}
         return {**logged, "missing": missing}
     mean = fixed(best.expected_s, page.decimals)
-    sentences = [*(said["lead"] if said else []), " ".join(_best(texts, best, page.decimals))]
+    about = _best(texts, best, page.decimals)
+    sentences = []
     works = by_work(ranked)
     same = next(work for work in works.values() if best in work)
     tied = [each.name for each in same if each is not best and not _is_shorter(best, each)]
@@ -59,13 +60,18 @@ def section(page: PageInputs) -> dict[str, Any]:
         sentences.append(texts("answer.tied", names=", ".join(f"“{name}”" for name in tied), best=best.name))
     if len(works) > 1:
         sentences.append(texts("answer.works", count=len(works)))
-    if takt_s is not None:
-        share = _within(best, takt_s)
-        sentences.append(texts("answer.takt", name=best.name, takt=given(takt_s), share=share))
+    takt = (
+        []
+        if takt_s is None
+        else [texts("answer.takt", name=best.name, takt=given(takt_s), share=_within(best, takt_s))]
+    )
+    of_tiles = [text for each in page.verdicts for text in verdict.beside_tiles(texts, each)]
+    named = [f"“{best.name}”: {' '.join(about[1:])}"]
     return {
         "headline": said["headline"] if said else texts("answer.best", name=best.name, mean=mean),
         "tiles": tile_rows(texts, page.verdicts),
-        "sentences": sentences + missing,
+        "sentences": [*(said["lead"] if said else []), " ".join(about), *sentences, *takt, *missing],
+        "beside": [*of_tiles, *named, *sentences, *missing],
         "charts": charts_of("answer", page),
         "table": _table(page, works),
         "refused": not_answered(page, "sequence"),

@@ -164,8 +164,10 @@ def _plan(page: PageInputs) -> ReportTable | None:
     rows = [
         [texts("helps.plan_expected"), fixed(planned.expected_s, places)],
         [beside, fixed(planned.against_s, places)],
-        [texts("helps.plan_saved"), f"{_planned_saving(planned, places)} ({interval(*planned.saves_s[1:], places)})"],
     ]
+    if any(planned.saves_s):
+        saved = f"{_planned_saving(planned, places)} ({interval(*planned.saves_s[1:], places)})"
+        rows.append([texts("helps.plan_saved"), saved])
     jobs = any("->" in visit for visit in planned.order)
     title, order = texts("helps.plan"), (", " if jobs else " → ").join(map(texts.task, planned.order))
     of = {"tried": count(planned.tried), "executions": count(planned.executions)}

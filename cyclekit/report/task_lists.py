@@ -22,7 +22,7 @@ from cyclekit.report.play import play_lists
 from cyclekit.report.template import Template
 from cyclekit.report.tiles import tile_rows
 from cyclekit.report.tried import Tried
-from cyclekit.report.verdict import basis, in_words, others, verdict
+from cyclekit.report.verdict import basis, beside_tiles, in_words, others, verdict
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.numbers import UNKNOWN, count, counted, fixed, given, percent, seconds, signed_percent
 from cyclekit.text.plain_json import json_text
@@ -135,6 +135,7 @@ def report_tasks(
     headline = " ".join(text for each in verdicts if (text := in_words(texts, each)))
     headline = headline if held else _logged_in_words(dataset, takt_s)
     said = [basis(texts, held)] if held else []
+    beside = [text for each in verdicts for text in beside_tiles(texts, each)]
     light = traffic_light(texts, [one.findings for one in found])
     headline = put_away(texts, light, headline)
     name, date = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
@@ -154,7 +155,14 @@ def report_tasks(
         sections = [part for part in parts if part.chart or not part.folded]
         rows = [] if light is not None and light.level == "red" else tile_rows(texts, verdicts)
         content = look.render(
-            page=PAGE, rows=rows, said=said, parts=parts, sections=sections, play=played, light=light, **texts_of
+            page=PAGE,
+            rows=rows,
+            said=beside if rows else said,
+            parts=parts,
+            sections=sections,
+            play=played,
+            light=light,
+            **texts_of,
         )
         content += f"\n{MARK}\n"
     write_text(out, content)

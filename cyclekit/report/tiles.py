@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.report.verdict import against_today, of_sequence
-from cyclekit.text.numbers import count, fixed, percent
+from cyclekit.text.numbers import count, fixed, interval, percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,12 +21,14 @@ class Tile(NamedTuple):
     Attributes:
         what: What takes this time.
         number: Mean cycle time, without its unit.
+        interval: Interval of the mean; empty where it is not known.
         change: Difference from today, or what today's number rests on.
         share: Share of the cycles within the takt; empty without a takt.
     """
 
     what: str
     number: str
+    interval: str
     change: str
     share: str
 
@@ -56,26 +59,49 @@ def _tiles(texts: ReportTexts, found: TaktVerdict) -> tuple[Tile, ...]:
         if found.apart:
             key = "tiles.at_pace" if found.apart == "at_pace" else "tiles.rolled"
             rests += texts(key, logged=fixed(today.as_logged_s, found.decimals))
+        if today.others:
+            rests += texts("tiles.others", others=count(today.others))
+        around = _interval(texts, found, today.low_s, today.high_s) if today.executions != 1 or found.apart else ""
         what = texts("tiles.today") if today.sequence is None else today.sequence
-        tiles.append(Tile(what, fixed(today.mean_s, found.decimals), rests, _share(texts, today.within)))
+        tiles.append(Tile(what, fixed(today.mean_s, found.decimals), around, rests, _share(texts, today.within)))
     asked = found.asked or (None if found.order else best)
     if asked is not None and (today is None or today.sequence != asked.name):
         change = of_sequence(texts, found, asked).removeprefix(", ")
         share = _share(texts, found.share_within(asked))
-        tiles.append(Tile(asked.name, fixed(asked.expected_s, found.decimals), change, share))
+        around = _interval(texts, found, asked.expected_low_s, asked.expected_high_s)
+        tiles.append(Tile(asked.name, fixed(asked.expected_s, found.decimals), around, change, share))
+    order = found.order
+    if (
+        order is not None
+        and order.saves_s[1] > 0
+        and found.expected_s is not None
+        and len(tiles) + bool(found.change) < 3
+    ):
+        of = found.best or order
+        bounds = of.expected_low_s, of.expected_high_s
+        tiles.append(_tile(texts, found, texts("tiles.order"), found.expected_s, bounds, found.within))
     if found.change is not None:
         what = texts("tiles.change", label=found.change.label, name=found.change.sequence)
-        tiles.append(_tile(texts, found, what, found.change.expected_s, found.change.within))
-    elif found.order is not None and found.order.saves_s[1] > 0 and found.expected_s is not None:
-        tiles.append(_tile(texts, found, texts("tiles.order"), found.expected_s, found.within))
+        bounds = found.change.low_s, found.change.high_s
+        tiles.append(_tile(texts, found, what, found.change.expected_s, bounds, found.change.within))
     return tuple(tiles)
 
 
 def _tile(
-    texts: ReportTexts, found: TaktVerdict, what: str, mean_s: float, within: tuple[float, float, float] | None
+    texts: ReportTexts,
+    found: TaktVerdict,
+    what: str,
+    mean_s: float,
+    bounds_s: tuple[float, float],
+    within: tuple[float, float, float] | None,
 ) -> Tile:
-    change = against_today(texts, found, mean_s).removeprefix(", ")
-    return Tile(what, fixed(mean_s, found.decimals), change, _share(texts, within))
+    change, around = against_today(texts, found, mean_s).removeprefix(", "), _interval(texts, found, *bounds_s)
+    return Tile(what, fixed(mean_s, found.decimals), around, change, _share(texts, within))
+
+
+def _interval(texts: ReportTexts, found: TaktVerdict, low_s: float, high_s: float) -> str:
+    known = math.isfinite(low_s) and math.isfinite(high_s)
+    return texts("tiles.interval", interval=interval(low_s, high_s, found.decimals)) if known else ""
 
 
 def _share(texts: ReportTexts, within: tuple[float, float, float] | None) -> str:

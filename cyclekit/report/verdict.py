@@ -72,7 +72,7 @@ class TaktVerdict:
             "sequence": None if order or not self.best else self.best.name,
             "expected_s": self.expected_s,
         }
-        best |= {"within": self.within, "saves_s": self.saves_s(self.expected_s)}
+        best |= {"within": self.within, "saves_s": None if self.own else self.saves_s(self.expected_s)}
         tried: dict[str, object] = {} if change is None else {"label": change.label, "sequence": change.sequence}
         return {
             "text": text,
@@ -107,6 +107,17 @@ class TaktVerdict:
     def share_within(self, one: CycleEstimate | None) -> tuple[float, float, float] | None:
         """Return the share of the cycles of an estimate within the takt, with its 95 % interval; None if unknown."""
         return None if one is None or self.takt_s is None else one.within(self.takt_s)
+
+    def is_todays(self, one: CycleEstimate) -> bool:
+        """Return whether today's cycles are logged executions of this order: what it differs by is no saving."""
+        return self.today is not None and self.today.is_own(one)
+
+    @property
+    def own(self) -> bool:
+        """Whether the best order is today's own."""
+        if self.best is not None:
+            return self.is_todays(self.best)
+        return self.planned is not None and not any(self.planned.saves_s)
 
     def saves_s(self, expected_s: float | None) -> float | None:
         """Return what a mean cycle time saves against today, s; None without a cycle of today."""
@@ -246,6 +257,8 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
             said += _within(texts, "verdict.within", found.within, found.takt_s)
     elif best is not None and found.today is not None and found.today.sequence == best.name:
         said = texts("verdict.none_faster")
+    elif best is not None and found.is_todays(best):
+        said = texts("verdict.todays", name=best.name, mean=_mean(found))
     elif best is not None:
         said = texts("verdict.sequence", name=best.name, mean=_mean(found), change=of_sequence(texts, found, best))
         said += _within(texts, "verdict.within", found.within, found.takt_s)
@@ -283,6 +296,8 @@ def _overlap(best: CycleEstimate, today: Baseline) -> bool:
 
 def of_sequence(texts: ReportTexts, found: TaktVerdict, one: CycleEstimate) -> str:
     """The difference of a sequence from today, if it is clear; the end of a sentence."""
+    if found.is_todays(one):
+        return texts("verdict.own")
     if found.today is not None and _overlap(one, found.today):
         return texts("verdict.not_clear")
     return against_today(texts, found, one.expected_s)
@@ -299,6 +314,20 @@ def against_today(texts: ReportTexts, found: TaktVerdict, mean_s: float) -> str:
     return texts(
         "verdict.saves" if saves_s > 0 else "verdict.longer", seconds=fixed(abs(saves_s), found.decimals), part=part
     )
+
+
+def beside_tiles(texts: ReportTexts, found: TaktVerdict) -> list[str]:
+    """Return what the tiles of a verdict do not say: that nothing faster was found, or that nothing was logged."""
+    said = []
+    if found.today is None or not found.today.executions:
+        said.append(basis(texts, found))
+    if found.order is not None and found.order.saves_s[1] <= 0:
+        said.append(f"{texts('verdict.order_none')}.")
+    elif found.order is None and (
+        found.own or (found.today and found.best and found.best.name == found.today.sequence)
+    ):
+        said.append(f"{texts('verdict.none_faster')}.")
+    return said
 
 
 def basis(texts: ReportTexts, found: TaktVerdict) -> str:

@@ -275,3 +275,33 @@ def test_each_kind_of_work_is_answered_with_at_most_three_numbers(logged, tmp_pa
     assert numbers == ["31.0", "20.0"]
     assert "saving 11.0" in tiles[0]
     assert float(numbers[0]) - float(numbers[1]) == pytest.approx(11.0)
+
+
+def test_an_order_saves_nothing_against_its_own_logs_in_any_output(logged, tmp_path):
+    """Today's cycles of 31 s are executions of the order that the estimate gives 20 s for: an error of the model."""
+    own = estimate("as now", 20.0, places=ROUTE)
+    assert baseline_of(logged, work_of(ROUTE), None).compared(own) == (31.0, (0.0, 0.0, 0.0))
+    planned = replace(PLANNED, places=ROUTE, order=("a", "b"), expected_s=20.0, saves_s=(0.0, 0.0, 0.0))
+    assert planned.saving_in_words == "nothing: it is the order of the logged executions"
+    for given in ({"estimates": [own]}, {"estimates": [own], "planned": planned}, {"planned": planned}):
+        for kind in ("json", "md", "csv", "html"):
+            facts = compose_report(logged, None, tmp_path / f"r.{kind}", kind=kind, **given)
+            text = facts.path.read_text("utf-8").rpartition("<body>")[2]
+            assert not re.search(r"saving 1|[Ss]aves? 1|11\.0", text), text[:2000]
+        found = document(logged, tmp_path, **given)
+        assert found["verdict"]["best"]["saves_s"] is None
+        assert all(each["best"]["saves_s"] is None for each in found["works"])
+    assert "“as now” is today's own order" in document(logged, tmp_path, estimates=[own])["answer"]
+
+
+def test_what_the_tiles_say_is_not_said_again(logged, tmp_path):
+    order = estimate("order found", 25.0, places=TURNED)
+    change = Tried("smaller zone", "order found", 20.0, 19.5, 20.5, (5.0, 4.0, 6.0), places=TURNED, within=(1, 0.7, 1))
+    given = {"estimates": [estimate("as now", 31.0, places=ROUTE), order], "what_if": [change], "planned": PLANNED}
+    html = compose_report(logged, None, tmp_path / "r.html", takt_s=30.5, **given).path.read_text("utf-8")
+    section = html.partition('<section id="answer">')[2].partition("<figure")[0]
+    tiles, beside = section.partition('class="tiles"')[2].partition('<p class="lead">')[::2]
+    assert re.findall(r'class="number">([\d.]+)<', tiles) == ["31.0", "25.0", "20.0"]
+    assert len(re.findall(r"95\s%\sCI", tiles)) == 3
+    for number in ("31.0", "25.0", "20.0", "6.0", "11.0"):
+        assert number not in beside

@@ -13,7 +13,7 @@ import numpy as np
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.unknown_height import height_notes
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
-from cyclekit.estimate.baseline import LOGGED, baseline_of
+from cyclekit.estimate.baseline import LOGGED, NOTHING, baseline_of
 from cyclekit.estimate.cycle.transit import TransitTable, transit_table
 from cyclekit.estimate.finding import Finding, light_of
 from cyclekit.estimate.joint.answer import waits_are_known
@@ -66,7 +66,8 @@ class OrderPlan(Result):
         expected_s: Its mean cycle time, as `estimate` returns it for `sequence`: with its allowance.
         against: Basis of comparison: `logged executions` of the same work, `random orders` if there are none.
         against_s: Mean cycle time of these, as a baseline (`estimate.baseline`), or of random orders.
-        saves_s: against_s - expected_s, and its 95 % interval from resampled executions, widened by a doubted bias.
+        saves_s: against_s - expected_s, and its 95 % interval from resampled executions, widened by a doubted bias;
+            zeros where the order found is that of the logged executions.
         allowance: Factor in expected_s for having been chosen: on one half of the executions, the order chosen on the
             other half saves less than on its own (mean of both halves).
         searched: `all orders`, `all orders of logged tasks` (others need unlogged tasks) or `search`.
@@ -122,12 +123,14 @@ class OrderPlan(Result):
         return pl.DataFrame({"visit": range(1, len(self.order) + 1), "place": self.order})
 
     def _lines(self) -> list[str]:
-        against = f"saves {self.saving_in_words} against {self.against}"
+        against = f"saves {self.saving_in_words}" + (f" against {self.against}" if any(self.saves_s) else "")
         return [f"{seconds(self.expected_s, self.against_s)}; {against}", f"order {', '.join(self.order)}"]
 
     @property
     def saving_in_words(self) -> str:
         """The saving as the two means differ in the text, with its interval."""
+        if not any(self.saves_s):
+            return NOTHING
         places = decimals_of(self.expected_s, self.against_s)
         return with_interval(difference(self.against_s, self.expected_s, places), *self.saves_s[1:], places)
 
@@ -192,13 +195,14 @@ def plan(
     saved_s = against_s - found.expected_s
     doubt_s = _doubt_s(found, saved_s)
     low_s, high_s = (saved_s + around_s + (-doubt_s, doubt_s)).tolist()
+    own = today is not None and today.is_own(found)
     return OrderPlan(
         order=order,
         places=jobs.places(order),
         expected_s=found.expected_s,
         against=LOGGED if today is not None else RANDOM,
         against_s=against_s,
-        saves_s=(saved_s, low_s, high_s),
+        saves_s=(0.0, 0.0, 0.0) if own else (saved_s, low_s, high_s),
         searched=searched,
         tried=tried,
         executions=len(set(tracks.executions)),
@@ -230,8 +234,7 @@ def _of_both(
     today = baseline_of(dataset, work_of(sequence.places, sequence.operator), None, pace=found.pace)
     against_s = found.expected_s + saved[0]
     if today is not None:
-        today = today.rolled_out(found.check)
-        against_s, saved = today.mean_s, today.saving(found)
+        against_s, saved = today.rolled_out(found.check).compared(found)
     return OrderPlan(
         order=order,
         places=jobs.places(order),

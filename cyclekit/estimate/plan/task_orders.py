@@ -26,7 +26,7 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.config.toml_file import read_toml, to_dataclass
 from cyclekit.config.write import sequence_to_toml
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
-from cyclekit.estimate.baseline import LOGGED
+from cyclekit.estimate.baseline import LOGGED, NOTHING
 from cyclekit.estimate.gantt import gantt_figure
 from cyclekit.estimate.statistics.resample import Z95
 from cyclekit.estimate.task_times import estimate_plans
@@ -112,7 +112,8 @@ class TaskOrderPlan(Result):
 
     def against_today(self, today: Baseline) -> TaskOrderPlan:
         """Return it compared with logged executions of the same work."""
-        return replace(self, against=LOGGED, against_s=today.mean_s, saves_s=today.saving(self.estimate))
+        against_s, saves_s = today.compared(self.estimate)
+        return replace(self, against=LOGGED, against_s=against_s, saves_s=saves_s)
 
     def plot(self) -> Drawing:
         """Return the plan as a time chart of both agents (matplotlib figure)."""
@@ -143,12 +144,14 @@ class TaskOrderPlan(Result):
 
     def _lines(self) -> list[str]:
         expected_s = self.estimate.expected_s
-        against = f"saves {self.saving_in_words} against {self.against}"
+        against = f"saves {self.saving_in_words}" + (f" against {self.against}" if any(self.saves_s) else "")
         return [f"{seconds(expected_s, self.against_s)}; {against}", *(task.shown for task in self.tasks)]
 
     @property
     def saving_in_words(self) -> str:
         """The saving as the two means differ in the text, with its interval."""
+        if not any(self.saves_s):
+            return NOTHING
         places = decimals_of(self.estimate.expected_s, self.against_s)
         saved_s = difference(self.against_s, self.estimate.expected_s, places)
         return with_interval(saved_s, *self.saves_s[1:], places)

@@ -28,6 +28,7 @@ from cyclekit.config.write import toml_value
 from cyclekit.dataset.cards import BadCard, CellLedger, StageCard, checked, parse_json, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, CyclekitError, DatasetError, ModelError, NothingPublished, StorageError
+from cyclekit.estimate.finding import doubts_of, worst
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
 from cyclekit.fleet.read import REPORT
@@ -231,7 +232,8 @@ def _report(work: CellAtWork) -> tuple[State, str]:
         )  # fmt: skip
         if is_url(cell.report):
             write_text(cell.report, file.read_text(encoding="utf-8"))
-    work.ledger = replace(work.ledger, reported=mark)
+    lit = replace(work.ledger.figures, light=worst(facts.findings), light_why=doubts_of(facts.findings))
+    work.ledger = replace(work.ledger, reported=mark, figures=lit if facts.findings else work.ledger.figures)
     return "done", told_of(facts)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.estimate.finding import light_of, merged
+from cyclekit.estimate.finding import light_of
 from cyclekit.estimate.statistics.same_work import work_of
 from cyclekit.report.figures import Chart
 from cyclekit.report.findings import losses, safety_function, task_shares
@@ -41,7 +41,7 @@ def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any])
         "cell": cell,
         "made": made,
         "answer": headline,
-        **light_of(merged([page.basis, *(one.findings for one in page.ranked)])),
+        **light_of(page.findings),
         "verdict": None if page.verdict is None else page.verdict.to_dict(_said(page, page.verdict)),
         "works": [each.to_dict(_said(page, each)) for each in page.verdicts],
         "sequences": [each.to_dict() for each in page.ranked],

@@ -96,7 +96,9 @@ def _row(texts: ReportTexts, rank: int, cell: CellLine) -> dict[str, object]:
         str(known.newest or texts("fleet.unknown")),
         _drift(texts, known),
     ]
-    return {"name": cell.name, "link": cell.link, "cells": cells}
+    said = {"green": texts("fleet.green"), "amber": texts("fleet.amber"), "red": texts("fleet.red")}
+    lamp = {"level": known.light, "said": said[known.light]} if known.light else None
+    return {"name": cell.name, "link": cell.link, "cells": cells, "lamp": lamp}
 
 
 def _drift(texts: ReportTexts, known: FiguresCard) -> str:
@@ -112,9 +114,13 @@ def _drift(texts: ReportTexts, known: FiguresCard) -> str:
 
 def _worries(texts: ReportTexts, cell: CellLine, today: dt.date) -> list[str]:
     """Return the reasons why a cell needs a look, one sentence each; empty if it needs none."""
-    known, found = cell.figures, [texts("fleet.failed", why=why) for why in cell.failed]
+    known, found = cell.figures, [texts("fleet.failed", why=_in_a_row(why)) for why in cell.failed]
     if cell.unread:
-        found.append(texts("fleet.unread", why=cell.unread))
+        found.append(texts("fleet.unread", why=_in_a_row(cell.unread)))
+    if known.light == "red":
+        found.append(texts("fleet.red_why", why="; ".join(known.light_why)))
+    if known.light == "amber":
+        found.append(texts("fleet.amber_why", why="; ".join(known.light_why)))
     if known.executions is None:
         return found or [texts("fleet.no_report")]
     if known.newest is not None and (days := (today - known.newest).days) > OLD_DAYS:
@@ -128,3 +134,9 @@ def _worries(texts: ReportTexts, cell: CellLine, today: dt.date) -> list[str]:
     if known.lost_share is None:
         found.append(texts("fleet.no_scaling"))
     return found
+
+
+def _in_a_row(text: str) -> str:
+    """Return the lines of an error as sentences in a row."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return " ".join(line if line[-1] in ".!?:" else f"{line}." for line in lines)

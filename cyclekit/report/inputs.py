@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.config.sequences import PLAN, TaskSequence
 from cyclekit.errors import DatasetError
+from cyclekit.estimate.finding import merged
 from cyclekit.estimate.soundness import findings_of_logs
 from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.coupling.words import wait_rows, waited_s
@@ -77,7 +78,12 @@ class PageInputs:
     @cached_property
     def light(self) -> TrafficLight | None:
         """The traffic light above the numbers; None if nothing is known of their basis."""
-        return traffic_light(self.texts, [self.basis, *(one.findings for one in self.ranked)])
+        return traffic_light(self.texts, [self.findings])
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is known about the basis of the numbers, the worst first."""
+        return merged([self.basis, *(one.findings for one in self.ranked)])
 
     @cached_property
     def basis(self) -> list[Finding]:

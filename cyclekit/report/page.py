@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import Refusal
+    from cyclekit.estimate.finding import Finding
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.validation.check import Check
@@ -60,6 +61,7 @@ class ReportFacts(Result):
         sequences: How many sequences were estimated for it.
         pdf: Where it was printed; None where it was not.
         refused: Sequences, changes and an order search that the logs cannot answer, each with the reason.
+        findings: What is known about the basis of its numbers, the worst first: its traffic light.
     """
 
     path: Path
@@ -70,6 +72,7 @@ class ReportFacts(Result):
     sequences: int = 0
     pdf: Path | None = None
     refused: tuple[Refusal, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def to_dict(self) -> dict[str, object]:
         """Return plain JSON values."""
@@ -174,7 +177,7 @@ def compose_report(
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
     headline, size = sections["answer"]["headline"], out.stat().st_size
-    return ReportFacts(out, size, headline, content.count("<figure"), said, len(ranked), refused=left_out)
+    return ReportFacts(out, size, headline, content.count("<figure"), said, len(ranked), None, left_out, page.findings)
 
 
 def _draw(sections: dict[str, Any], say: Callable[[float, str], None]) -> None:

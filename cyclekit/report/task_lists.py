@@ -136,7 +136,8 @@ def report_tasks(
     headline = headline if held else _logged_in_words(dataset, takt_s)
     said = [basis(texts, held)] if held else []
     beside = [text for each in verdicts for text in beside_tiles(texts, each)]
-    light = traffic_light(texts, [one.findings for one in found])
+    basis_of = merged(one.findings for one in found)
+    light = traffic_light(texts, [basis_of])
     headline = put_away(texts, light, headline)
     name, date = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
     executions = card.executions if card else len(dataset.executions)
@@ -147,7 +148,7 @@ def report_tasks(
         shown = [{key: getattr(part, key) for key in ("title", "sentences", "heads", "rows")} for part in parts]
         data = {"name": name, "headline": headline, "verdict": held.to_dict(headline) if held else None, "parts": shown}
         data |= {"estimates": [one.to_dict() for one in found], "refused": [one.to_dict() for one in refused]}
-        content = json_text(data | light_of(merged(one.findings for one in found))) + "\n"
+        content = json_text(data | light_of(basis_of)) + "\n"
     elif kind == "md":
         content = _markdown(name, made, [*(light.lines if light else []), headline, *said], parts)
     else:
@@ -167,7 +168,7 @@ def report_tasks(
         content += f"\n{MARK}\n"
     write_text(out, content)
     size, pictures = out.stat().st_size, content.count("<figure")
-    return ReportFacts(out, size, headline, pictures, tuple(missing), len(found), refused=tuple(refused))
+    return ReportFacts(out, size, headline, pictures, tuple(missing), len(found), None, tuple(refused), basis_of)
 
 
 def _today(texts: ReportTexts, dataset: Dataset, today: Baseline | None) -> CycleEstimate | None:

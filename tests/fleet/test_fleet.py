@@ -6,6 +6,7 @@ import datetime as dt
 import json
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import threading
@@ -293,7 +294,12 @@ def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
         CellLine("dirty", replace(FIGURES, set_aside_share=0.02), unread="a.csv: cut"),
         CellLine("moved", replace(FIGURES, safety_changed=True, shifts=("everywhere: 0.010 -> 0.090",))),
         CellLine("unlearned", replace(FIGURES, model_doubt="mean absolute error 0.148")),
-        CellLine("<b>", FiguresCard(), failed=["ingest: no such folder"]),
+        CellLine(
+            "<b>", FiguresCard(), failed=["ingest: no such folder\n  Check the path.", "train: no logs\nAdd some"]
+        ),
+        CellLine("lit", replace(FIGURES, light="red", light_why=("the clocks are assumed", "the pose is not given"))),
+        CellLine("dim", replace(FIGURES, light="amber", light_why=("few executions",))),
+        CellLine("sound", replace(FIGURES, light="green")),
     ]
     page = fleet_page("Line 4", cells, TODAY)
     order = [page.index(f">{name}<", page.index("<tbody>")) for name in ("worst", "dirty", "good", "&lt;b&gt;")]
@@ -301,15 +307,20 @@ def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
     assert order == sorted(order)
     look = page[page.index('id="look"') : page.index('id="cells"')]
     assert "worst loses most to safety: 50" in look
-    assert "5 cells need a look" in look
+    assert "7 cells need a look" in look
     for said in (
         "20 days old",
         "of the rows were set aside",
         "Logs not read: a.csv: cut",
         "0.010 -&gt; 0.090",
-        "ingest: no such folder",
+        "Failed in ingest: no such folder. Check the path. Failed in train: no logs. Add some.",
+        "Red, its report cannot be trusted: the clocks are assumed; the pose is not given.",
+        "Amber, read its report with these limits: few executions.",
         "The error of the model is large: mean absolute error 0.148.",
     ):
         assert said in look
     assert "good/report.html" not in look
+    assert re.findall(r'<span class="lamp (\w+)">(\w+)</span>', page) == [
+        (one, one) for one in ("amber", "red", "green")
+    ]
     assert "://" not in page

@@ -42,6 +42,8 @@ class FiguresCard(Card, frozen=True, kw_only=True):
         shifts: The changes, the most significant first.
         drift: Why changes are unknown; empty if they are known.
         model_doubt: Why the error of the model is large; empty if it is not, or there is no model.
+        light: The traffic light of its report: level of the worst finding; empty without one.
+        light_why: Its amber and red findings, one sentence each.
         months: The figures by month, the oldest first, if the days of the logs are known.
     """
 
@@ -56,6 +58,8 @@ class FiguresCard(Card, frozen=True, kw_only=True):
     shifts: tuple[str, ...] = ()
     drift: str = ""
     model_doubt: str = ""
+    light: Literal["", "green", "amber", "red"] = ""
+    light_why: tuple[str, ...] = ()
     months: tuple[MonthCard, ...] = ()
 
 

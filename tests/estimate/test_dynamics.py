@@ -73,7 +73,7 @@ def test_beside_other_operators_s_follows_as_late_as_beside_their_own(
 ):
     """Slow recovery makes every cycle longer; no operator reacts to the robot because of it."""
     at_once = check_rollout(staircase, logged)
-    monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=DynamicsCard(ramp_up_per_s=0.1)))
+    monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=DynamicsCard(ramp_up_per_s=0.3)))
     slow = check_rollout(staircase, logged)
     assert slow.own_bias > at_once.own_bias + 0.02
     assert slow.crossed_bias - slow.own_bias == pytest.approx(at_once.crossed_bias - at_once.own_bias, abs=0.01)

@@ -20,7 +20,8 @@ from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycle import walk as walking
-from cyclekit.estimate.cycle.walk import FINE_STEP_S, TIME_STEP_S, Rolled
+from cyclekit.estimate.cycle.engine import FINE_STEP_S, TIME_STEP_S
+from cyclekit.estimate.cycle.walk import Rolled
 from cyclekit.estimate.entry import _shares
 from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.result import PARTS
@@ -49,16 +50,15 @@ def some_route(routes: Sequence[tuple[str, ...]], length: int) -> TaskSequence:
 
 @pytest.mark.parametrize(("step_s", "within_s"), [(FINE_STEP_S, 0.1), (TIME_STEP_S, 0.2)])
 def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
-    logged: Dataset, staircase: Any, step_s: float, within_s: float, monkeypatch: pytest.MonkeyPatch
+    logged: Dataset, staircase: Any, step_s: float, within_s: float
 ):
     """The true safety function, every logged route against its own operator: nothing is left to chance."""
-    monkeypatch.setattr(walking, "TIME_STEP_S", step_s)
     nominal, entries = nominal_tasks(logged), logged.card.executions
     tracks = operator_tracks(logged, horizon_s=200.0)
     assert list(tracks.executions) == [entry.execution for entry in entries]
     programs = [lay_out(TaskSequence("own", entry.places), nominal, logged) for entry in entries]
     stands, every = [draw_standstills(program, 1, 0) for program in programs], np.arange(len(programs))
-    rolled = walking.simulate(staircase, programs, every, every, stands, tracks)
+    rolled = walking.simulate(staircase, programs, every, every, stands, tracks, fine=step_s == FINE_STEP_S)
     late = rolled.duration_s - [entry.end_s - entry.start_s for entry in entries]
     assert abs(np.mean(late)) < within_s  # of about 95 s
     assert np.quantile(np.abs(late), 0.8) < within_s

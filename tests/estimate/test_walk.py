@@ -10,9 +10,9 @@ import pytest
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import TrainingCard
-from cyclekit.estimate.cycle import walk as walking
+from cyclekit.estimate.cycle.engine import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, SimulatedCycles
 from cyclekit.estimate.cycle.spread import logged_support
-from cyclekit.estimate.cycle.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, SimulatedCycles, roll_out, simulate
+from cyclekit.estimate.cycle.walk import roll_out, simulate
 from cyclekit.estimate.operator.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.program import draw_standstills, lay_out
@@ -40,40 +40,36 @@ def by_hand(
     model: Any, program: Program, tracks: OperatorTracks, k: int, standstill_s: np.ndarray, step_s: float
 ) -> dict[str, Any]:
     """Walk one program beside one track, a step at a time; the step is shared out where a motion or a stand ends."""
-    ends, xyz = program.edges_s, program.xyz_m()
-    part, at, last, clock = 0, 0.0, 1.0, 0.0
+    part, at, last, clock, steps = 0, 0.0, 1.0, 0.0, 0
     lost, activity_s = np.zeros(len(program.tasks)), np.zeros(len(tracks.activities) + 1)
     looks: list[tuple[np.ndarray, np.ndarray]] = []
-    spliced, steps = 0.0, 0
-
-    def rate_of(part: int, scaling: float) -> float:
-        task = program.tasks[part // 2]
-        return scaling if part % 2 == 0 else (task.dwell_s + task.wait_s) / standstill_s[part // 2]
-
+    ends = [
+        end_s for task, stand_s in zip(program.tasks, standstill_s, strict=True) for end_s in (task.nominal_s, stand_s)
+    ]
     while part < len(ends):
         between, sample = np.modf(round((steps + 0.5) * step_s / tracks.step_s, 6))
         sample = int(sample)
         here, after = tracks.xyz_m[k, sample], tracks.xyz_m[k, sample + 1]
         human = here if np.isnan(here + after).any() else here + (after - here) * between
-        place = min(at + last * step_s / 2, ends[part])
-        robot = xyz[min(int(place * (len(xyz) / program.length_s)), len(xyz) - 1)]
-        stands_on = part % 2 == 1 and (ends[part] - at) / rate_of(part, 1.0) >= step_s
+        way_m, moves = program.tasks[part // 2].xyz_m, part % 2 == 0
+        gone = min(at + last * step_s / 2, ends[part]) / ends[part] if moves else 1.0
+        robot = way_m[int(gone * (len(way_m) - 1) + 0.5)]
+        stands_on = not moves and ends[part] - at >= step_s
         last = 1.0 if stands_on else float(scaling_of(model, robot[None], human[None])[0])
         if steps % round(SUPPORT_EVERY_S / step_s) == 0:
             looks.append((robot, human))
-        spliced += step_s * (sample >= tracks.logged[k])
         left = step_s
         while left > 0 and part < len(ends):
-            rate = rate_of(part, last)
+            rate = last if part % 2 == 0 else 1.0
             needs = (ends[part] - at) / rate if rate > 0 else np.inf
             spent = min(needs, left)
             if part % 2 == 0:
                 lost[part // 2] += (1 - rate) * spent
                 activity_s[tracks.activity[k, sample]] += (1 - rate) * spent
-            at, left = (ends[part], left - spent) if needs <= left else (at + rate * spent, 0.0)
+            at, left = (0.0, left - spent) if needs <= left else (at + rate * spent, 0.0)
             part += needs <= spent
         steps, clock = steps + 1, (steps + 1) * step_s - left
-    return {"duration": clock, "lost": lost, "activity": activity_s, "looks": looks, "spliced": spliced}
+    return {"duration": clock, "lost": lost, "activity": activity_s, "looks": looks}
 
 
 @pytest.fixture(scope="module")
@@ -92,14 +88,13 @@ def asked(logged: Dataset) -> tuple[list[Program], OperatorTracks]:
 
 @pytest.mark.parametrize("step_s", [TIME_STEP_S, FINE_STEP_S])  # the middle of a step: a sample, between two
 def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
-    logged: Dataset, asked: tuple[list[Program], OperatorTracks], step_s: float, monkeypatch: pytest.MonkeyPatch
+    logged: Dataset, asked: tuple[list[Program], OperatorTracks], step_s: float
 ):
-    monkeypatch.setattr(walking, "TIME_STEP_S", step_s)
     programs, tracks = asked
     support = logged_support(logged)
     stands = [draw_standstills(program, TRACKS, 3) for program in programs]
     which, track = np.repeat([0, 1], TRACKS), np.tile(np.arange(TRACKS), 2)
-    found = simulate(Smooth(), programs, which, track, stands, tracks, support)
+    found = simulate(Smooth(), programs, which, track, stands, tracks, support, fine=step_s == FINE_STEP_S)
     samples = logged.samples()
     robot, human = (samples.select(f"{who}_{a}_m" for a in "xyz").drop_nulls().to_numpy() for who in ("robot", "human"))
     logged_cells = {(*r, *h) for r, h in zip(np.floor(robot / ROBOT_M), np.floor(human / HUMAN_M), strict=True)}
@@ -111,10 +106,8 @@ def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
         program, k = programs[which[row]], track[row]
         wanted = by_hand(Smooth(), program, tracks, k, stands[which[row]][k], step_s)
         assert found.duration_s[row] == pytest.approx(wanted["duration"], abs=1e-9)
-        np.testing.assert_allclose(found.safety_s[row, : len(program.tasks)], wanted["lost"], atol=1e-9)
+        np.testing.assert_allclose(found.robot.lost_s[row, : len(program.tasks)], wanted["lost"], atol=1e-9)
         np.testing.assert_allclose(found.activity_s[row], wanted["activity"], atol=1e-9)
-        assert found.spliced[row] == pytest.approx(wanted["spliced"])
-        assert wanted["spliced"] > 0
         assert found.looked[row] == len(wanted["looks"])
         assert found.known[row] == sum(near(r, h) for r, h in wanted["looks"])
     assert 0 < found.known.sum() < found.looked.sum()
@@ -134,7 +127,7 @@ def test_a_cycle_that_starts_slow_takes_longer_where_recovery_is_slow(asked: tup
     stands, track, slow = [draw_standstills(programs[1], TRACKS, 3)], np.arange(TRACKS), Dynamics(ramp_up_per_s=0.5)
     tracks = replace(tracks, scaling=np.array([np.nan, 1.0, 0.5, 0.5, 0.1]))
     found = simulate(Free(), programs[1:], np.zeros(TRACKS, np.int64), track, stands, tracks, dynamics=slow)
-    lost_s = found.safety_s.sum(axis=1)
+    lost_s = found.robot.lost_s.sum(axis=1)
     assert lost_s == pytest.approx([0.0, 0.0, 0.25, 0.25, 0.81], abs=1e-6)  # half of the square over the recovery
 
 
@@ -150,7 +143,7 @@ def test_rows_with_dynamics_do_not_mind_who_else_is_walked(asked: tuple[list[Pro
         alone = simulate(Smooth(), [program], np.array([0]), track[row : row + 1], [some], tracks, dynamics=slow)
         assert found.duration_s[row] == alone.duration_s[0]
         legs = len(program.tasks)
-        np.testing.assert_array_equal(found.safety_s[row, :legs], alone.safety_s[0])
+        np.testing.assert_array_equal(found.robot.lost_s[row, :legs], alone.robot.lost_s[0])
 
 
 def test_a_cycle_that_does_not_end_has_lost_what_it_lost_so_far(
@@ -162,5 +155,5 @@ def test_a_cycle_that_does_not_end_has_lost_what_it_lost_so_far(
     found: SimulatedCycles = simulate(constant(0.0), programs[:1], 0 * both, both, [stands[both]], tracks)
     assert np.isinf(found.duration_s).all()
     steps = int((tracks.activity.shape[1] - 2) * tracks.step_s / TIME_STEP_S)
-    np.testing.assert_allclose(found.safety_s[:, 0], steps * TIME_STEP_S)
+    np.testing.assert_allclose(found.robot.lost_s[:, 0], steps * TIME_STEP_S)
     assert np.isinf(roll_out(constant(0.0), programs[0], tracks, None).duration_s).all()

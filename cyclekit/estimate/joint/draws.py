@@ -96,7 +96,7 @@ class CycleDraws:
         last: Number of the last leg of each agenda.
         own_s: Time of own work, shape (N, legs).
         lag_s: Lag from each needed event to departure, shape (N, legs, needs).
-        needs: Columns of these events, shape (agendas, legs, needs).
+        needs: Columns of these events, shape (agendas, legs, needs); `unneeded` where there is none.
         not_before_s: Earliest departure, shape (agendas, legs).
         arrives, passes: Columns of the events that a leg sets, shape (agendas, legs, events).
         walk, stay: Numbers of the operator's segments, shape (N, legs).
@@ -138,7 +138,7 @@ class CycleDraws:
         self._levels = Levels(seed, count, common)
         self.last = np.array([len(agenda.legs) - 1 for agenda in agendas])
         needs = [[[columns.needed(need.event) for need in leg.needs] for leg in agenda.legs] for agenda in agendas]
-        self.needs = _padded(needs, columns.unneeded)
+        self.needs, self.unneeded = _padded(needs, columns.unneeded), columns.unneeded
         legs, rows = int(self.last.max()) + 1, len(which)
         self.arrives = columns.padded([[leg.arrives for leg in agenda.legs] for agenda in agendas])
         self.passes = columns.padded([[leg.passes for leg in agenda.legs] for agenda in agendas])

@@ -15,9 +15,10 @@ from cyclekit.estimate.robot.safety import OnStates
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.cycle.engine import RobotLine
     from cyclekit.estimate.joint.draws import CycleDraws
     from cyclekit.estimate.joint.visits import Segments
-    from cyclekit.estimate.joint.walk import RobotLine, UnslowedAgent
+    from cyclekit.estimate.joint.walk import UnslowedAgent
     from cyclekit.estimate.robot.safety import SafetyModel
     from cyclekit.schema import Floats, Ints, Vector
 

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.cycle.engine import LegTimes
 from cyclekit.estimate.cycle.spread import logged_support
 from cyclekit.estimate.joint.draws import CycleDraws, EventColumns
 from cyclekit.estimate.joint.in_turn import in_turn_agendas
@@ -18,7 +19,7 @@ from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need, needs_o
 from cyclekit.estimate.joint.people import LoggedMotions, LoggedPeople, OperatorPositions
 from cyclekit.estimate.joint.unended import deadlock
 from cyclekit.estimate.joint.visits import Segments
-from cyclekit.estimate.joint.walk import JointCycles, LegTimes, simulate_both
+from cyclekit.estimate.joint.walk import JointCycles, simulate_both
 from cyclekit.estimate.robot.safety import Dynamics, OnStates, SafetyModel, holds_everywhere
 from cyclekit.estimate.robot.signal_states import on_states_of
 from cyclekit.text.numbers import percent
@@ -29,9 +30,10 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import CouplingCard, SourceCard
     from cyclekit.dataset.cards.coupling import CommonPaceCard
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.cycle.engine import Presence
     from cyclekit.estimate.joint.legs import Event
     from cyclekit.estimate.joint.long_stays import OperatorVisit
-    from cyclekit.estimate.joint.walk import Presence, UnslowedAgent
+    from cyclekit.estimate.joint.walk import UnslowedAgent
     from cyclekit.estimate.robot.safety import Logged
     from cyclekit.schema import Ints, Vector
 

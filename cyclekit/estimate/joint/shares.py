@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.estimate.cycle.engine import OWN
 from cyclekit.estimate.joint.plans import legs_of_tasks
-from cyclekit.estimate.joint.walk import OWN, PLANNED
+from cyclekit.estimate.joint.walk import PLANNED
 from cyclekit.estimate.result import ELSEWHERE, OWN_TASK, PARTS, PlannedShare, TaskShare
 
 if TYPE_CHECKING:

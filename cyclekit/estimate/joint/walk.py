@@ -1,55 +1,29 @@
-"""Simulation of cycles of both agents step by step: an agent departs once its own work and its waits are over.
+"""Simulation of cycles of both agents: an agent departs once its own work and its waits are over.
 
-The robot advances as in `estimate.cycle.walk`, at the scaling of the safety function for the operator's position. The
-operator and sources of parts are not slowed: their departure is computed as soon as the events they wait for are known.
-Event times are exact within a step: an agent that waited uses the rest of the step.
+The robot is that of `estimate.cycle.engine`. The operator and sources of parts are not slowed: their departure is
+computed as soon as the events they wait for are known.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.cycle.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
+from cyclekit.estimate.cycle.engine import FINE_STEP_S, OWN, LegTimes, RobotLine, SimulatedCycles, simulate_robot
 from cyclekit.estimate.joint.draws import NEVER
-from cyclekit.estimate.robot.safety import Dynamics, Follower, SafetyModel, at_once, is_fast, scaling_in_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from cyclekit.estimate.cycle.engine import Presence
     from cyclekit.estimate.joint.draws import CycleDraws
-    from cyclekit.estimate.robot.safety import Logged
+    from cyclekit.estimate.robot.safety import Dynamics, Logged, SafetyModel
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
-OWN, PLANNED = -1, -2
-"""Causes of departure other than an event: own work, or the earliest start in the plan."""
-MOVES, WORKS, WAITS, ENDED = range(4)
-
-
-class LegTimes:
-    """Times of arrival, end of own work and departure for each leg of one agent: shape (rows, legs) each, s.
-
-    Attributes:
-        decided: Column of the event that decided departure, or OWN or PLANNED.
-        lost_s: Safety loss of the leg.
-        trips: Whether the operator made a trip before departure.
-    """
-
-    def __init__(self, draws: CycleDraws) -> None:
-        """Create times of inf: nothing has occurred yet."""
-        shape = draws.own_s.shape
-        self.arrives_s, self.works_s, self.passes_s = (np.full(shape, np.inf) for _ in range(3))
-        self.decided = np.full(shape, OWN)
-        self.lost_s = np.zeros(shape)
-        self.trips = np.zeros(shape, dtype=np.bool_)
-
-    @property
-    def waits_s(self) -> Floats:
-        """Wait at the end of each leg, shape (rows, legs), s."""
-        passed = np.isfinite(self.passes_s)
-        return np.where(passed, self.passes_s, 0.0) - np.where(passed, self.works_s, 0.0)
+PLANNED = -2
+"""Cause of departure: the earliest start in the plan."""
 
 
 def departures(draws: CycleDraws, events_s: Floats, rows: Ints, legs: Ints, works_s: Vector) -> tuple[Vector, Ints]:
@@ -72,7 +46,7 @@ class UnslowedAgent:
 
     def __init__(self, draws: CycleDraws, events_s: Floats) -> None:
         """Start all rows."""
-        self.draws, self.times, self._events_s = draws, LegTimes(draws), events_s
+        self.draws, self.times, self._events_s = draws, LegTimes(*draws.own_s.shape), events_s
         self.leg = np.zeros(len(draws.which), dtype=np.int64)
         self.ended = np.zeros(len(draws.which), dtype=np.bool_)
         self._arrive(np.arange(len(draws.which)), np.zeros(len(draws.which)))
@@ -150,140 +124,50 @@ class UnslowedAgent:
         self._events_s[rows[:, None], columns] = arrives[:, None]
 
 
-class RobotLine:
-    """The robot in N cycles: its leg, its progress on it, and what it waits for."""
-
-    def __init__(self, draws: CycleDraws, events_s: Floats, step_s: float) -> None:
-        """Place all rows at their start."""
-        self.draws, self.times, self._events_s, self._step_s = draws, LegTimes(draws), events_s, step_s
-        legs, count = draws.own_s.shape[1], len(draws.which)
-        paths = [leg.path_m for agenda in draws.agendas for leg in agenda.legs]
-        self._xyz_m = np.concatenate(paths)
-        self._rows, self._first = np.ones((2, len(draws.agendas), legs), dtype=np.int64)
-        self._way_s = np.zeros((len(draws.agendas), legs))
-        begin = 0
-        for a, agenda in enumerate(draws.agendas):
-            for n, leg in enumerate(agenda.legs):
-                self._rows[a, n], self._first[a, n], self._way_s[a, n] = len(leg.path_m), begin, leg.way_s
-                begin += len(leg.path_m)
-        self.row = np.arange(count)
-        self.part = np.zeros(count, dtype=np.int64)
-        self.leg = np.zeros(count, dtype=np.int64)
-        self._at, self._clock = np.zeros(count), np.zeros(count)
-        self._end = self._way_s[draws.which, 0]
-
-    @property
-    def may_move(self) -> Bools:
-        """Which rows may move at some time of the next step."""
-        soon = (self.part == WORKS) & (self._end - self._at < self._step_s)
-        return np.asarray((self.part == MOVES) | soon | (self.part == WAITS))
-
-    def keep(self, going: Bools) -> None:
-        """Drop all other rows."""
-        for name in ("row", "part", "leg", "_at", "_clock", "_end"):
-            setattr(self, name, getattr(self, name)[going])
-
-    def gone(self, ahead_s: Vector) -> Vector:
-        """Return which part of its way each row will have gone then, shape (N,)."""
-        part = np.minimum(self._at + ahead_s, self._end) / np.maximum(self._end, 1e-9)
-        return np.where(self.part == MOVES, part, 1.0)
-
-    def where(self, ahead_s: Vector) -> Floats:
-        """Return the TCP (N, 3) of the rows after their motions have advanced by `ahead_s` (N,)."""
-        agenda, gone = self.draws.which[self.row], self.gone(ahead_s)
-        last = self._rows[agenda, self.leg] - 1
-        return np.asarray(self._xyz_m[self._first[agenda, self.leg] + (gone * last + 0.5).astype(np.int64)])
-
-    def advance(self, scaling: Vector, until_s: float) -> tuple[Vector, Ints]:
-        """Advance to a time; return the safety loss of each row in it (N,), s, and the rows that began a new part."""
-        lost, some = np.zeros(len(scaling)), np.flatnonzero(self.part != ENDED)
-        touched: list[Ints] = []
-        while len(some):
-            row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
-            moves, waits = part == MOVES, part == WAITS
-            rate = np.where(moves, scaling[some], 1.0)
-            to_go = self._end[some] - self._at[some]
-            takes = np.where(to_go <= 1e-9, 0.0, to_go / np.maximum(rate, 1e-12))
-            decided = np.full(len(some), OWN)
-            if waits.any():
-                open_s, decided[waits] = departures(self.draws, self._events_s, row[waits], leg[waits], clock[waits])
-                takes[waits] = open_s - clock[waits]
-            left = until_s - clock
-            done = takes <= left
-            spent = np.where(waits & ~done, 0.0, np.minimum(takes, left))
-            self._clock[some] = clock = np.where(done & waits, clock + takes, clock + spent)
-            self._at[some] += np.where(waits, 0.0, rate * spent)
-            loss = np.where(moves, (1.0 - rate) * spent, 0.0)
-            self.times.lost_s[row, leg] += loss
-            lost[some] += loss
-            some, decided = some[done], decided[done]
-            if not len(some):
-                break
-            self._next(some, decided)
-            touched.append(self.row[some])
-            some = some[self.part[some] != ENDED]
-        if len(touched) > 1:
-            return lost, np.unique(np.concatenate(touched))
-        return lost, touched[0] if touched else some[:0]
-
-    def _next(self, some: Ints, decided: Ints) -> None:
-        """Start the next part of rows that have ended a way, own work or a wait."""
-        row, leg, part, clock = self.row[some], self.leg[some], self.part[some], self._clock[some]
-        agenda = self.draws.which[row]
-        for when, found in ((MOVES, self.times.arrives_s), (WORKS, self.times.works_s), (WAITS, self.times.passes_s)):
-            mine = part == when
-            found[row[mine], leg[mine]] = clock[mine]
-        for when, columns in ((MOVES, self.draws.arrives), (WAITS, self.draws.passes)):
-            mine = part == when
-            self._events_s[row[mine, None], columns[agenda[mine], leg[mine]]] = clock[mine, None]
-        goes = part == WAITS
-        self.times.decided[row[goes], leg[goes]] = decided[goes]
-        ends = goes & (leg >= self.draws.last[agenda])
-        self._at[some] = 0.0
-        self.part[some] = np.where(ends, ENDED, (part + 1) % ENDED)
-        self.leg[some] = leg = np.where(goes & ~ends, leg + 1, leg)
-        self._end[some] = np.where(part == MOVES, self.draws.own_s[row, leg], self._way_s[agenda, leg])
+def advance_unslowed(others: Sequence[UnslowedAgent], rows: Ints) -> None:
+    """Advance the agents that are never slowed as far as known, until no event of one lets another depart."""
+    while len(rows):
+        moved = [other.go_on(rows) for other in others]
+        rows = np.unique(np.concatenate(moved)) if len(others) > 1 else rows[:0]
 
 
-class Presence(Protocol):
-    """Where the people of N cycles are.
+class RobotWaits:
+    """What the robot waits for in N cycles: events of the others, who go on once they know what it did."""
 
-    Attributes:
-        activities: Names of what they may be at.
-    """
+    def __init__(self, draws: CycleDraws, events_s: Floats, others: Sequence[UnslowedAgent]) -> None:
+        """Take the robot's draws, the event times, and all agents that are never slowed."""
+        self._draws, self._events_s, self._others = draws, events_s, others
+        self.gated = (draws.needs != draws.unneeded).any(axis=2) | (draws.not_before_s > 0.0)
 
-    activities: tuple[str, ...]
+    def departures(self, rows: Ints, legs: Ints, since_s: Vector, /) -> tuple[Vector, Ints]:
+        """Return when these rows may depart from these legs, s, and the cause that decides it."""
+        return departures(self._draws, self._events_s, rows, legs, since_s)
 
-    def at(self, t_s: float, line: RobotLine, gone: Vector, /) -> tuple[Floats, Ints]:
-        """Return positions (N, 3), m, or states (N, D), of the rows under way, and at what people are (N,).
+    def arrived(self, rows: Ints, legs: Ints, at_s: Vector, /) -> None:
+        """Set the events of an arrival."""
+        self._events_s[rows[:, None], self._draws.arrives[self._draws.which[rows], legs]] = at_s[:, None]
 
-        Args:
-            t_s: Time since the start of the cycle.
-            line: The robot in all rows.
-            gone: Which part of its way each row has gone, shape (N,).
-        """
+    def departed(self, rows: Ints, legs: Ints, at_s: Vector, /) -> None:
+        """Set the events of a departure."""
+        self._events_s[rows[:, None], self._draws.passes[self._draws.which[rows], legs]] = at_s[:, None]
+
+    def settle(self, rows: Ints, /) -> None:
+        """Advance all others in these rows as far as is known."""
+        advance_unslowed(self._others, rows)
 
 
 @dataclass(frozen=True)
-class JointCycles:
+class JointCycles(SimulatedCycles):
     """N cycles of both agents.
 
     Attributes:
-        robot, operator: Times of the legs of each agent.
-        activity_s: Safety loss by the operator's place, shape (N, activities + 1); the last = unknown.
-        activities: Names of the places.
-        known, looked: Number of support evaluations in logged positions, and of all, shape (N,).
-        stuck: Rows that end in a deadlock, shape (N,).
+        operator: Times of the operator's legs.
+        activities: Names of the operator's places.
         events_s: Time of each event, shape (N, columns).
     """
 
-    robot: LegTimes
     operator: LegTimes
-    activity_s: Floats
     activities: tuple[str, ...]
-    known: Vector
-    looked: Vector
-    stuck: Bools
     events_s: Floats
 
 
@@ -312,55 +196,17 @@ def simulate_both(
         support: Test for logged positions; None: `looked` stays 0.
         dynamics: Response of s to the safety function.
     """
-    line = RobotLine(robot, events_s, FINE_STEP_S)
     others = [UnslowedAgent(draws, events_s) for draws in (operator, *sources)]
-    people, count = people_of(others[0]), len(robot.which)
-    follower = None if at_once(model, dynamics) else Follower(model, dynamics, FINE_STEP_S)
-    asks_after = 1 if is_fast(model) else round(TIME_STEP_S / FINE_STEP_S)
-    looks_after = round(SUPPORT_EVERY_S / FINE_STEP_S)
-    activity_s = np.zeros((count, len(people.activities) + 1))
-    known, looked, stuck = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
-    scaling, human = np.ones(count), np.zeros((count, 3))
-    doing = np.zeros(count, dtype=np.int64)
-    advance_unslowed(others, np.arange(count))
-    for number in range(int(until_s / FINE_STEP_S)):
-        if number % asks_after == 0:
-            ahead_s = scaling * asks_after * FINE_STEP_S / 2
-            tcp = line.where(ahead_s)
-            human, doing = people.at((number + asks_after / 2) * FINE_STEP_S, line, line.gone(ahead_s))
-            scaling = scaling_in_step(model, follower, line, tcp, human)
-            if support is not None and number % looks_after == 0:
-                known[line.row] += support.near_logged(tcp, human)
-                looked[line.row] += 1
-        elif follower is not None:
-            scaling = follower.go_on()
-        lost, touched = line.advance(scaling, (number + 1) * FINE_STEP_S)
-        activity_s[line.row, doing] += lost
-        if len(touched):
-            advance_unslowed(others, touched)
-        stuck[line.row] = (line.part == WAITS) & ~np.isfinite(_due(line))
-        ended = (line.part == ENDED) | stuck[line.row]
-        if ended.any():
-            going = ~ended
-            scaling, doing = scaling[going], doing[going]
-            line.keep(going)
-            if follower is not None:
-                follower.keep(going)
-            if not len(line.row):
-                break
-    return JointCycles(line.times, others[0].times, activity_s, people.activities, known, looked, stuck, events_s)
-
-
-def advance_unslowed(others: Sequence[UnslowedAgent], rows: Ints) -> None:
-    """Advance the agents that are never slowed as far as known, until no event of one lets another depart."""
-    while len(rows):
-        moved = [other.go_on(rows) for other in others]
-        rows = np.unique(np.concatenate(moved)) if len(others) > 1 else rows[:0]
-
-
-def _due(line: RobotLine) -> Vector:
-    """Return when each row may depart; 0 for rows that do not wait."""
-    due, waits = np.zeros(len(line.row)), np.flatnonzero(line.part == WAITS)
-    if len(waits):
-        due[waits] = departures(line.draws, line._events_s, line.row[waits], line.leg[waits], np.zeros(len(waits)))[0]
-    return due
+    people = people_of(others[0])
+    orders = [[(leg.path_m, leg.way_s) for leg in agenda.legs] for agenda in robot.agendas]
+    line = RobotLine(orders, robot.which, robot.own_s, FINE_STEP_S, RobotWaits(robot, events_s, others))
+    simulated = simulate_robot(
+        model,
+        line,
+        people,
+        steps=int(until_s / FINE_STEP_S),
+        step_s=FINE_STEP_S,
+        dynamics=dynamics,
+        support=support,
+    )
+    return JointCycles(**vars(simulated), operator=others[0].times, activities=people.activities, events_s=events_s)

@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.robot.nominal import STEP_S, NominalTask
+from cyclekit.estimate.robot.nominal import NominalTask
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,21 +43,6 @@ class Program:
     def length_s(self) -> float:
         """Duration at scaling 1 including standstills: the exact sum over the tasks."""
         return float(self.edges_s[-1])
-
-    def xyz_m(self) -> Floats:
-        """Return the TCP at the centres of K cells of about STEP_S, shape (K, 3); computed anew to save memory."""
-        cells = max(1, round(self.length_s / STEP_S))
-        middle = (np.arange(cells) + 0.5) * (self.length_s / cells)
-        xyz, first = np.empty((cells, 3)), 0
-        for task, arrival_s, end_s in zip(self.tasks, self.edges_s[::2], self.edges_s[1::2], strict=True):
-            last = int(np.searchsorted(middle, end_s))
-            phase = np.clip((middle[first:last] - arrival_s) / max(task.nominal_s, 1e-9) + 1.0, 0.0, 1.0)
-            at = np.linspace(0.0, 1.0, len(task.xyz_m))
-            for axis in range(3):
-                xyz[first:last, axis] = np.interp(phase, at, task.xyz_m[:, axis])
-            first = last
-        xyz[first:] = self.tasks[-1].xyz_m[-1]
-        return xyz
 
 
 def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset: Dataset) -> Program:

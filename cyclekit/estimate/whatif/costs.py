@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.cycle.walk import FINE_STEP_S
+from cyclekit.estimate.cycle.engine import FINE_STEP_S
 from cyclekit.estimate.robot.safety import Dynamics
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.validation.question import Altered

@@ -3,7 +3,7 @@
 `tables` collects what the script needs for sequences of the robot alone, `both` for cells with waits and plans for
 both agents, `lists` for plans of task lists. `scaling_grid` prepares a network, `scaling_table` a model on states of
 the operator; a rule goes into the page as it is. `packed` puts all into the page. The script rolls cycles out in the
-browser in the steps of `estimate.cycle.walk`, `estimate.joint` or `learning.task_times.roll`, and corrects them as
+browser in the steps of `estimate.cycle.engine`, `estimate.joint` or `learning.task_times.roll`, and corrects them as
 `estimate` does. Tests compare its numbers with the library's.
 """
 

@@ -127,7 +127,7 @@ const askedOf = (robot, tasks) => { // legs.told_needs, by what the tasks are ca
 
 const robotAgenda = (places, asked, told) => { // told: what a plan says of each task
   const names = places.slice(1).map((place, n) => `${places[n]}->${place}`);
-  const pathOf = (name) => ({ leg: facts.legs[name], low: 0, high: facts.legs[name].points - 1 });
+  const pathOf = (name) => ({ first: facts.legs[name].first, low: 0, high: facts.legs[name].points - 1 });
   const agenda = agendaOf("robot", places[0], { ...pathOf(names[0]), high: 0 }, asked);
   names.forEach((name, number) => {
     const leg = facts.legs[name];

@@ -2,7 +2,7 @@
 
 const set = (events, numbers, time_s) => { for (const number of numbers) events[number] = time_s; };
 const rowsOf = (drawn) => drawn.map((leg) => ({ // of one agent: one cycle after the other is put into them
-  leg, lags: new Float64Array(leg.due.length), own_s: 0, walk_s: 0, walk: 0, stay: 0, straight: 0, after: -1,
+  leg, path: leg.path, way_s: leg.way_s, lags: new Float64Array(leg.due.length), own_s: 0, walk_s: 0, walk: 0, stay: 0, straight: 0, after: -1,
   level: 0, waiting: false, free: false, trip: -1, goes: false, // trip -1: he stays
   arrives_s: Infinity, works_s: Infinity, passes_s: Infinity, lost_s: 0,
 }));
@@ -115,101 +115,19 @@ const operatorAt = (rows, pace) => { // OperatorPositions.at: between which samp
     const place = Math.min(since_s / STEP_S, count - 1);
     const whole = Math.floor(place);
     found.from = first + whole;
+    found.to = found.from + 1;
     found.weight = place - whole;
   };
 };
 
-const [MOVES, WORKS, WAITS, ENDED] = [0, 1, 2, 3];
 const walkBoth = (robot, operator, sources, events, asked, until_s) => { // one cycle to its end
-  const { step } = facts;
-  const step_s = step.fine_s;
-  const dynamics = { ...facts.dynamics, ...(asked.ramp === null ? {} : { ramp_up_per_s: asked.ramp }) };
-  const follows = facts.follows || Object.values(dynamics).some((value) => value);
-  const asksAfter = facts.often ? 1 : Math.round(step.coarse_s / step_s);
-  const looksAfter = Math.round(step.support_s / step_s);
   const others = [operator, ...sources].map((rows) => unhindered(rows, events, asked.pace));
-  const settle = () => { while (others.map((goOn) => goOn()).some(Boolean) && others.length > 1); };
-  const person = operatorAt(operator, asked.pace);
-  const follow = follows ? followerOf(dynamics, step_s) : null;
-  const human = { from: 0, weight: 0 };
-  const ahead_s = (asksAfter * step_s) / 2;
-  const steps = Math.trunc(until_s / step_s);
-  const found = { known: 0, looked: 0, stuck: false };
-  let [leg, part, at, clock, scaling, end] = [0, MOVES, 0, 0, 1, robot[0].leg.way_s];
-  const look = (number) => {
-    const { low, high, leg: task } = robot[leg].leg.path;
-    const gone = part === MOVES ? Math.min(at + ahead_s * scaling, end) / Math.max(end, NOTHING) : 1;
-    const row = low + Math.floor(gone * (high - low) + 0.5);
-    person(number * step_s + ahead_s, human);
-    field.at(task.first + row, task.first + row, 0, human.from, human.from + 1, human.weight);
-    if (number % looksAfter !== 0) return;
-    found.looked += 1;
-    if (field.known()) found.known += 1;
+  const waits = {
+    opensAt: (row, since_s) => opensAt(row, events, since_s),
+    arrived: (row, at_s) => set(events, row.leg.arrives, at_s),
+    departed: (row, at_s) => set(events, row.leg.passes, at_s),
+    settle: () => { while (others.map((goOn) => goOn()).some(Boolean) && others.length > 1); },
   };
-  const next = () => { // what follows on a way, its own work or a wait
-    const row = robot[leg];
-    at = 0;
-    if (part === MOVES) {
-      row.arrives_s = clock;
-      set(events, row.leg.arrives, clock);
-      [part, end] = [WORKS, row.own_s];
-    } else if (part === WORKS) {
-      row.works_s = clock;
-      part = WAITS;
-    } else {
-      row.passes_s = clock;
-      set(events, row.leg.passes, clock);
-      if (leg === robot.length - 1) part = ENDED;
-      else { leg += 1; [part, end] = [MOVES, robot[leg].leg.way_s]; }
-    }
-  };
-  const advance = (until) => { // to a time; returns whether a new part began
-    let touched = false;
-    while (part !== ENDED) {
-      const rate = part === MOVES ? scaling : 1;
-      const toGo = end - at;
-      let takes = toGo <= NOTHING ? 0 : toGo / Math.max(rate, 1e-12);
-      if (part === WAITS) takes = opensAt(robot[leg], events, clock) - clock;
-      const left = until - clock;
-      const done = takes <= left;
-      if (part === WAITS) {
-        if (done) clock += takes;
-      } else {
-        const spent = Math.min(takes, left);
-        clock += spent;
-        at += rate * spent;
-        if (part === MOVES) robot[leg].lost_s += (1 - rate) * spent;
-      }
-      if (!done) break;
-      touched = true;
-      next();
-    }
-    return touched;
-  };
-  settle();
-  for (let number = 0; number < steps; number += 1) {
-    const asks = number % asksAfter === 0;
-    const mayMove = part === MOVES || part === WAITS || end - at < step_s;
-    if (asks && (follows || mayMove || number % looksAfter === 0)) look(number);
-    if (follow) scaling = follow(asks);
-    else if (asks) scaling = mayMove ? field.scaling(false) : 1;
-    if (advance((number + 1) * step_s)) settle();
-    if (part === ENDED) break;
-    let soon = number + 1;
-    if (part === WAITS) {
-      const open_s = opensAt(robot[leg], events, 0);
-      found.stuck = open_s === Infinity;
-      if (found.stuck) break;
-      soon = Math.floor(open_s / step_s) - asksAfter;
-    } else if (part === WORKS) soon = Math.floor((clock + end - at) / step_s) - asksAfter;
-    if (follow || soon <= number + 1) continue; // nothing hangs on s meanwhile: go on to where the robot moves again
-    soon = Math.min(soon, steps - 1);
-    for (let each = number + 1; each < soon; each += 1) if (each % asksAfter === 0 && each % looksAfter === 0) look(each);
-    if (part === WORKS) {
-      at += soon * step_s - clock;
-      clock = soon * step_s;
-    }
-    number = soon - 1;
-  }
-  return found;
+  const dynamics = { ...facts.dynamics, ...(asked.ramp === null ? {} : { ramp_up_per_s: asked.ramp }) };
+  return walkRobot(robot, operatorAt(operator, asked.pace), { dynamics, waits, until_s });
 };

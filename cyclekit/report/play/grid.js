@@ -101,21 +101,20 @@ const gridField = () => {
   };
   return {
     moved: () => {},
-    at: (point, next, part, from, to, weight) => {
+    at: (point, from, to, weight) => {
       const [before, after] = [who[from], who[to]];
       for (let axis = 0; axis < 3; axis += 1) {
-        const here = paths[3 * point + axis];
-        r[axis] = here + (paths[3 * next + axis] - here) * part;
+        r[axis] = paths[3 * point + axis];
         const now = people[3 * before + axis];
         const between = now + (people[3 * after + axis] - now) * weight;
         h[axis] = Number.isNaN(between) ? now : between;
       }
       flat = Number.isNaN(h[2]);
       if (flat) h[2] = r[2];
-      const at = rowOf[point] + (rowOf[next] - rowOf[point]) * part;
+      const at = rowOf[point];
       near = Math.floor(at) * nodes;
       far = at > Math.floor(at) ? near + nodes : near;
-      robot = tables.robot_cells[part < 0.5 ? point : next];
+      robot = tables.robot_cells[point];
       human = tables.people_cells[weight < 0.5 ? before : after];
       bounded = false;
     },

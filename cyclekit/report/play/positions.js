@@ -164,16 +164,15 @@ const positionsField = () => { // a field: `at` a point of a task and between tw
       return (falls + rises) / 2 >= facts.away.part * facts.rule.fastest;
     },
     moved: (by) => { safety = safetyOf(by); },
-    at: (point, next, far, from, to, weight) => {
+    at: (point, from, to, weight) => {
       for (let axis = 0; axis < 3; axis += 1) {
-        const here = paths[3 * point + axis];
-        r[axis] = here + (paths[3 * next + axis] - here) * far;
+        r[axis] = paths[3 * point + axis];
         const now = people[3 * who[from] + axis];
         const between = now + (people[3 * who[to] + axis] - now) * weight;
         h[axis] = Number.isNaN(between) ? now : between;
       }
       if (Number.isNaN(h[2])) h[2] = r[2];
-      robot = tables.robot_cells[far < 0.5 ? point : next];
+      robot = tables.robot_cells[point];
       human = tables.people_cells[who[weight < 0.5 ? from : to]];
     },
     scaling: (rising) => safety(r, h, rising),

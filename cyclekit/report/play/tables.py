@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from cyclekit.estimate.cycle.engine import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 from cyclekit.estimate.cycle.spread import logged_support
-from cyclekit.estimate.cycle.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 from cyclekit.estimate.operator.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.repeats import robot_repeats
-from cyclekit.estimate.robot.nominal import STEP_S, nominal_tasks
+from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.program import standstills_of
 from cyclekit.estimate.robot.safety import Dynamics, OnStates, SafetyModel, at_once, is_fast
 from cyclekit.estimate.robot.signal_states import on_states_of
@@ -121,7 +121,7 @@ def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: 
             "scaling": None if tracks.scaling is None else [None if s != s else s for s in tracks.scaling.tolist()],
         },
         "dynamics": vars(dynamics),
-        "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S, "nominal_s": STEP_S},
+        "step": {"coarse_s": TIME_STEP_S, "fine_s": FINE_STEP_S, "support_s": SUPPORT_EVERY_S},
         "follows": not at_once(model, dynamics),
         "often": is_fast(model),
         "away": {"part": AWAY, "points": LOOKED_AT},

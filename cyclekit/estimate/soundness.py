@@ -18,6 +18,7 @@ from cyclekit.text.numbers import percent
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.cards.recording import ClockMethod
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.robot.safety import SafetyModel
@@ -60,7 +61,7 @@ def findings_of(
     """
     found = [] if dataset is None else [*findings_of_logs(dataset, model), *_people(model, executions)]
     if dataset is not None and not isinstance(model, OnStates):
-        found += [*several_found(dataset), *_unproven_waits(model)]
+        found += [*several_found(dataset), *unproven_found(model.card.warnings)]
     if check is not None:
         found += check.findings
     elif validated is not None:
@@ -118,9 +119,9 @@ def _pose(dataset: Dataset, model: object) -> Iterator[Finding]:
         yield Finding("pose", "green", "the tracker's pose is given" if given else "the slow-downs confirm the pose")
 
 
-def _unproven_waits(model: SafetyModel) -> Iterator[Finding]:
+def unproven_found(warnings: Sequence[Note]) -> Iterator[Finding]:
     """Yield a finding if what was learned on who waits for whom is not used: it failed on logged executions."""
-    for one in model.card.warnings:
+    for one in warnings:
         if one.code == UNPROVEN:
             yield Finding("waits", "amber", one.finding, ADVICE[one.code])
 

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from cyclekit.estimate.finding import Finding
+from cyclekit.estimate.soundness import unproven_found
 from cyclekit.learning.task_times.prepared import agent_of, prepared
 from cyclekit.text.numbers import percent, signed_percent
 
@@ -43,7 +44,7 @@ def findings_of_plan(model: TaskModelCard, sequence: TaskSequence) -> tuple[Find
         text = f"{sequence.shown}: logged only as a joint task, and here not as often: {_some(alone)}"
         found.append(Finding("joint-tasks", "amber", text))
     waits = (Finding("waits-left-out", "amber", text) for text in _waits_without_task(model, sequence, names))
-    return (_judged(model.held_out), *found, *waits)
+    return (_judged(model.held_out), *unproven_found(model.warnings), *found, *waits)
 
 
 def _judged(judged: HeldOutCard | None) -> Finding:

@@ -15,8 +15,12 @@ from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.joint.proven import with_proven_waits
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.ingest.ingest import ingest
-from cyclekit_sim import fresh_cycles, random_orders
+from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit.learning.unproven import unproven
+from cyclekit_sim import COUPLED, fresh_cycles, random_orders
+from cyclekit_sim.coupled_list import task_plan
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
@@ -47,6 +51,19 @@ def logged(factory: pytest.TempPathFactory, scene: str, executions: int) -> tupl
     return dataset, OfTheCell(card)
 
 
+def test_errors_that_are_larger_by_chance_speak_against_no_waits() -> None:
+    errors = np.random.default_rng(1).normal(0.0, 0.03, 20)
+    small, other, large = (
+        {str(n): error for n, error in enumerate(some)} for some in (errors, np.roll(errors, 1), 3.0 * errors)
+    )
+    assert unproven(small, other) is None
+    assert unproven(other, small) is None
+    assert unproven(small, large) is None
+    assert unproven(large, small) is not None
+    assert unproven({name: error + 0.2 for name, error in small.items()}, other) is None  # a bias is corrected
+    assert unproven(dict([*large.items()][:2]), small) is None
+
+
 def test_waits_that_roll_logged_executions_out_worse_are_not_used_and_this_is_said(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
@@ -69,3 +86,20 @@ def test_waits_that_roll_logged_executions_out_worse_are_not_used_and_this_is_sa
 def test_waits_that_explain_logged_executions_are_used(tmp_path_factory: pytest.TempPathFactory) -> None:
     dataset, model = logged(tmp_path_factory, "shared-fixture", 8)
     assert with_proven_waits(model, dataset) is model.card
+
+
+@pytest.mark.slow
+def test_waits_of_task_lists_are_not_used_either_where_held_out_executions_speak_against_them(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    logs = simulated(tmp_path_factory, SCENE, 20, seed=1, task_list=True)
+    made = made_once(tmp_path_factory, f"{SCENE}_list", lambda place: ingest([logs / "tasks.csv"], place / "dataset"))
+    model = learn_task_times(Dataset.open(made / "dataset"))
+    assert not any(task.needs for task in model.tasks)
+    (order,) = random_orders(SCENE, 5, 1)
+    plan = TaskSequence.of_plan("asked", [PlannedTask(*task) for task in task_plan(COUPLED[SCENE], order)])
+    (found,) = estimate_plans(model, [plan], refused=lambda *_: None)
+    (finding,) = (one for one in found.findings if one.code == "waits")
+    assert "20 logged executions are off by" in finding.text
+    true_s = fresh_cycles(SCENE, order, cycles=100, seed=1).durations_s.mean()
+    assert found.expected_low_s < true_s < found.expected_high_s

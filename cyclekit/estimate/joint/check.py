@@ -271,12 +271,11 @@ def widening(executions: int, count: int) -> float:
     It is Student's factor of a prediction interval: the scatter is known from so many executions, and the mean of each
     part of a cycle from `count` repetitions.
     """
-    few = student(max(executions, FEWEST)) * (1.0 + 1.0 / max(count, FEWEST)) ** 0.5
-    return float(max(few / (student(USUAL) * (1.0 + 1.0 / USUAL) ** 0.5), 1.0))
+    few = _student(max(executions, FEWEST)) * (1.0 + 1.0 / max(count, FEWEST)) ** 0.5
+    return float(max(few / (_student(USUAL) * (1.0 + 1.0 / USUAL) ** 0.5), 1.0))
 
 
-def student(executions: int) -> float:
-    """Return Student's t that the mean of so many exceeds in 5 % of the cases by chance."""
+def _student(executions: int) -> float:
     return float(stdtrit(executions - 1, 0.95))
 
 

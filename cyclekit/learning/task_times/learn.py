@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import structs
 from scipy.special import stdtrit
 
+from cyclekit.config import Wait
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, JointCard, PaceCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, UnknownName, command_line
@@ -22,12 +23,12 @@ from cyclekit.learning.task_times.rates import TaskRates, fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import Run, as_if_whole, every_run, one_at_a_time, without_failures
 from cyclekit.learning.task_times.starts import Starts, learn_starts
+from cyclekit.learning.unproven import unproven
 from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Ints, Progress, Vector
 
@@ -124,9 +125,22 @@ def learn_runs(
     tell(1.0 / (folds + 1), "task times")
     if not folds:
         return model
-    judged = _judged(
-        runs, agents, told, cut, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders")
-    )
+
+    def judge(given: Mapping[str, Sequence[Wait]]) -> tuple[HeldOutCard | None, dict[str, float]]:
+        return _judged(
+            runs, agents, given, cut, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders")
+        )
+
+    judged, off = judge(told)
+    if judged is not None and judged.order_error > 0.0 and any(one.needs for one in model.tasks):
+        never = {
+            agent: [Wait(agent=kind, task=one.task, never=True) for one in model.tasks if one.agent == agent]
+            for agent, kind in agents.items()
+        }
+        of_none, other = judge(never)
+        if said := unproven(off, other):
+            model = structs.replace(_learned(runs, agents, never, cut), clocks=clocks, warnings=(said,))
+            judged = of_none
     return structs.replace(model, held_out=judged)
 
 
@@ -239,6 +253,7 @@ def _kept(values: Vector) -> tuple[float, ...]:
 class _HeldOut:
     """One held-out execution with its estimate."""
 
+    number: int
     order: tuple[tuple[str, ...], ...]
     mean_s: float
     sd_s: float
@@ -253,7 +268,8 @@ def _judged(
     seed: int,
     folds: int,
     tell: Callable[[float], None],
-) -> HeldOutCard | None:
+) -> tuple[HeldOutCard | None, dict[str, float]]:
+    """Return the errors on held-out orders, and the logarithm of logged over mean estimated duration by execution."""
     orders = sorted({run.order for run in runs})
     rng = np.random.default_rng(seed)
     if len(orders) >= MIN_ORDERS:
@@ -276,12 +292,15 @@ def _judged(
             except (UnknownName, EstimateError):  # has a task that is in no other order
                 continue
             rolled[same] = took_s
-            found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
+            found.append(
+                _HeldOut(run.number, run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s)
+            )
         tell(float(fold + 1))
+    off = {str(one.number): float(np.log(one.true_s / one.mean_s)) for one in found}
     if len(found) < MIN_EXECUTIONS:
-        return None
+        return None, off
     asked = [runs[number] for number in rng.permutation(len(runs))[:ASKED]]
-    return structs.replace(_summed_up(found), learning_error=_learning_error(models, asked, seed))
+    return structs.replace(_summed_up(found), learning_error=_learning_error(models, asked, seed)), off
 
 
 def _learning_error(models: Sequence[TaskModelCard], asked: Sequence[Run], seed: int) -> float:

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import TrainingCard
+from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RegionCard, RuleCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.validation.check import check_rollout
 from cyclekit.estimate.whatif import Change, what_if
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.samples.distances import TO_TCP
+from cyclekit_sim import SimulationOptions, simulate, simulate_sequence
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 AND_BACK = TaskSequence("and back", ("place_1", "place_2", "place_1"))
 THERE = TaskSequence("there", ("place_1", "place_2"))
@@ -73,3 +82,24 @@ def test_what_few_executions_cannot_show_is_not_assumed(hand_made: Any, staircas
     assert found.safety_loss_s == pytest.approx(lost_s, abs=0.05)
     second = next(task for task in found.tasks if task.task == "place_2->place_1")
     assert second.safety_loss_s < 0.01
+
+
+def test_an_order_half_as_long_takes_with_the_logged_people_what_it_takes_in_their_cell(tmp_path: Path):
+    """They begin away and come near; the simulator runs the same people beside half of the order."""
+    options = SimulationOptions(executions_per_session=1)
+    logs = simulate("bench-crew", tmp_path / "logs", executions=5, seed=4, options=options)
+    ingest([logs], tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    places = dataset.card.executions[0].places
+    known = set(dataset.tasks()["task"])
+    last = next(n for n in range(10, len(places)) if f"{places[n]}->{places[-1]}" in known)
+    half = (*places[:9], "conveyor", places[last], places[-1])
+    limits = [
+        LimitCard(scaling=level, within=RegionCard(nearer=(NearerCard(distance=TO_TCP, metres=MetresCard(value=m)),)))
+        for level, m in ((0.0, 0.8), (0.3, 1.2), (0.6, 1.7))
+    ]
+    rule = RuleCard(family="written", levels=(0.0, 0.3, 0.6, 1.0), limits=tuple(limits), explained=1.0)
+    model = RuleSafety(rule, TrainingCard(rule=rule))
+    (found,) = estimate(model, dataset, [TaskSequence("half", half)], validate=False, other_cell=True)
+    true = simulate_sequence("bench-crew", half, executions=5, seed=4, options=options, logged=True)
+    assert found.expected_s == pytest.approx(true["duration_s"].mean(), rel=0.01)

@@ -88,6 +88,21 @@ def test_errors_that_depend_on_the_order_widen_the_interval(
     assert (found.model_error > 0.05) is doubted
 
 
+def test_errors_by_order_that_few_executions_cannot_show_are_in_the_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four orders that differ by a third of what single executions scatter by, four executions of each."""
+    rng, seen = np.random.default_rng(5), []
+    for _ in range(20):
+        errors = np.resize([0.98, 0.99, 1.01, 1.02], 16)
+        logged = 100.0 * errors * rng.normal(1.0, 0.03, 16)
+        found = _judged(monkeypatch, logged, 100.0 * rng.normal(1.0, 0.03, (16, 60)), ["abc", "abd", "abe", "abf"])
+        assert found.order_shown or "depends on the order" not in "".join(doubts_of(found.findings))
+        seen.append((found.by_order, found.order_shown))
+    widens, shown = np.array(seen).T
+    assert shown.mean() < 0.5
+    assert (widens**2).mean() ** 0.5 == pytest.approx(0.018, rel=0.5)
+    assert (widens[shown == 0.0] > 0.0).mean() > 0.3
+
+
 def test_executions_that_leave_the_validation_are_counted_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three of 60 lack a visit for which the robot waited, two end in a deadlock."""
     monkeypatch.setattr("cyclekit.estimate.joint.check.with_every_visit", lambda _, some: some[:-3])

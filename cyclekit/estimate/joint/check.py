@@ -69,8 +69,9 @@ class JointCheck(Check):
         widening: Factor on the deviations of cycles from their mean, without `scores`: above 1 with few executions.
         least_spread: Minimum standard deviation of rolled-out cycles for `scores`, as a share of their mean.
         unexplained_s: Mean wait of the robot per execution without a known condition, s.
-        by_order: Standard deviation of the error of another order, from that between logged ones beyond chance, as a
-            share of the duration; it widens the interval of the mean.
+        by_order: Standard deviation of the error of another order, from that between logged ones, as a share of the
+            duration; it widens the interval of the mean.
+        order_shown: Whether that is beyond chance.
         missed: Number of executions without a visit of the operator for which the robot waited; they are not compared.
         unended: Number of executions whose rollouts end in a deadlock or do not end; they are not compared.
     """
@@ -81,6 +82,7 @@ class JointCheck(Check):
     least_spread: float = 0.0
     unexplained_s: float = 0.0
     by_order: float = 0.0
+    order_shown: bool = False
     missed: int = 0
     unended: int = 0
 
@@ -131,7 +133,7 @@ class JointCheck(Check):
             found.append(
                 Finding("deadlocks", "amber", text, "give the waits in [[waits]] of the cell file", covered=False)
             )
-        if self.by_order:
+        if self.order_shown:
             text = (
                 "something that depends on the order was not learned: logged orders differ from their rollouts beyond "
                 f"chance; the interval of the mean is wider by that (standard deviation {percent(self.by_order, 1)})"
@@ -191,6 +193,7 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
     scatter = _scatter(logged, simulated * found.factor) if enough else _Scatter()
     mean_s = float(logged.mean())
     learned = cell.coupling is not None and cell.coupling.coupled
+    by_order, shown = _by_order(off, sequences, cell, simulated)
     waits = unexplained_waits(cell.dataset, [each.name for each in sequences], mean_s, learned=learned)
     unseen_s = float(np.hypot(waits.by_order_s, _unseen_people_s(cell, [each.name for each in sequences])))
     ours = {
@@ -201,7 +204,8 @@ def judge_joint(cell: JointCell, planner: Planner, *, levels: Sequence[float], s
         "open_wait": open_wait(cell.dataset, [each.name for each in sequences], mean_s),
         "missed": rolled.missed,
         "unended": rolled.unended,
-        "by_order": 0.0 if isinstance(cell.model, OnStates) else _by_order(off, sequences, cell, simulated),
+        "by_order": by_order,
+        "order_shown": shown,
     }
     return JointCheck(**{**vars(found), **ours})
 
@@ -251,18 +255,23 @@ def with_every_visit(planner: Planner, sequences: list[TaskSequence]) -> list[Ta
     return whole if len(whole) >= max(MOST * len(sequences), MIN_EXECUTIONS) else sequences
 
 
-def _by_order(off: Vector, sequences: Sequence[TaskSequence], cell: JointCell, simulated: Floats) -> float:
-    """Return the error due to the order of the robot, of the operator or of both, whichever is largest.
+def _by_order(off: Vector, sequences: Sequence[TaskSequence], cell: JointCell, simulated: Floats) -> tuple[float, bool]:
+    """Return the error due to the order of the robot, of the operator or of both, and whether it is beyond chance.
+
+    The largest that is shown, or of all if none is. With a model of states it is none.
 
     Where waits were seen and nothing is known that ends them, all that single executions are off by more than their
     rollouts scatter, shape (E, K), may be due to the order.
     """
+    if isinstance(cell.model, OnStates):
+        return 0.0, False
     if any(one.code == UNPROVEN for one in cell.model.card.warnings):
         own = float((simulated.std(axis=1, ddof=1) / simulated.mean(axis=1)).mean())
-        return float(np.sqrt(max(off.var(ddof=1) - own**2, 0.0)))
+        error = float(np.sqrt(max(off.var(ddof=1) - own**2, 0.0)))
+        return error, error > 0.0
     orders = [(sequence.places, sequence.operator) for sequence in sequences]
     groups: list[list[object]] = [[robot for robot, _ in orders], [operator for _, operator in orders], [*orders]]
-    return max(error_by_order(off, some) for some in groups)
+    return max((error_by_order(off, some) for some in groups), key=lambda one: one[::-1])
 
 
 def widening(executions: int, count: int) -> float:

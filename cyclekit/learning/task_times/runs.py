@@ -151,9 +151,9 @@ def as_if_whole(cut: Sequence[Run], runs: Sequence[Run]) -> list[Run]:
             for done in some:
                 lasted.setdefault((agent, done.task), []).append(done)
     length_s: dict[int, float] = {}
-    for some in lasted.values():
-        took_s, unended = np.array([done.took_s for done in some]), [done for done in some if done.cut]
-        whole_s = as_whole(took_s, np.array([done.cut for done in some]))
+    for every in lasted.values():
+        took_s, unended = np.array([done.took_s for done in every]), [done for done in every if done.cut]
+        whole_s = as_whole(took_s, np.array([done.cut for done in every]))
         for number, done in enumerate(unended):
             longer_s = whole_s[whole_s > done.took_s]
             at = int((number + 0.5) / len(unended) * len(longer_s))

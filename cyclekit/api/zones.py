@@ -11,6 +11,8 @@ from cyclekit.api.given import Sequences, path_of, place_of, sequences_of, train
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ModelError
+from cyclekit.estimate.finding import MARKS
+from cyclekit.estimate.soundness import findings_of_logs
 from cyclekit.estimate.whatif.costs import SafetyCosts, costs_of
 from cyclekit.estimate.whatif.separation import Separation
 from cyclekit.learning.networks.saved import TrainedModel
@@ -45,7 +47,10 @@ def read_safety_function(
     """
     file = path_of(out)
     check_output(file, "picture", [place_of(model), place_of(dataset)], endings=KINDS)
-    found = read_zones(trained_of(model), Dataset.of(dataset), seed=seed, other_cell=other_cell)
+    opened, trained = Dataset.of(dataset), trained_of(model)
+    found = read_zones(trained, opened, seed=seed, other_cell=other_cell)
+    doubted = [one for one in findings_of_logs(opened, predictor_of(trained)) if one.level != "green"]
+    found = replace(found, doubts=tuple(f"{MARKS[one.level].strip()} {one.code}: {one.shown}" for one in doubted))
     if file is not None:
         write_figure(file, found.plot())
     return found

@@ -98,7 +98,7 @@ def zones(
     shown = (_written(found),) if found.rule_sentences else (_rule(found), _thresholds(found), _explained(found))
     document = found.to_dict() | ({"costs": costs.to_dict()} if costs else {})
     priced = (_costs(costs), _margins(costs.margins)) if costs else ()
-    terminal.answer(document, *shown, bullet([*_why(found), *found.notes]), *priced)
+    terminal.answer(document, bullet(found.doubts, mark=""), *shown, bullet([*_why(found), *found.notes]), *priced)
 
 
 def _separation(cost: Path | None, **given: Any) -> Separation | None:  # noqa: ANN401

@@ -53,6 +53,12 @@ def traffic_light(texts: ReportTexts, several: Iterable[Sequence[Finding]]) -> T
     return TrafficLight(level, titles[level], doubted, texts("light.sound", names=sound) if sound else "")
 
 
+def resting(texts: ReportTexts, findings: Sequence[Finding]) -> str:
+    """Return the mark of what rests on these findings, a sentence; empty if all are green."""
+    marks = {"green": "", "amber": texts("light.rests_amber"), "red": texts("light.rests_red")}
+    return marks[worst(findings)]
+
+
 def put_away(texts: ReportTexts, light: TrafficLight | None, headline: str) -> str:
     """Return the headline, behind a plain mark if the light is red."""
     return texts("light.put_away", headline=headline) if light is not None and light.level == "red" else headline

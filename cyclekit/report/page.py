@@ -18,7 +18,7 @@ from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import MARK, as_csv, as_json, as_markdown
 from cyclekit.report.inputs import PageInputs
-from cyclekit.report.light import put_away
+from cyclekit.report.light import put_away, resting
 from cyclekit.report.play import play_part
 from cyclekit.report.template import Template
 from cyclekit.storage.atomic import write_text
@@ -158,6 +158,9 @@ def compose_report(
         sections["answer"]["headline"] = put_away(texts, page.light, sections["answer"]["headline"])
         if page.light is not None and page.light.level == "red":
             sections["answer"]["tiles"] = []
+        if mark := resting(texts, page.findings):
+            for key in ("where", "helps"):
+                sections[key]["sentences"] = [mark, *sections[key]["sentences"]]
     say(0.25, "tables of the part to play with")
     played = play_part(page) if play and kind == "html" else None
     missing = [*missing, *(played.missing if played else ())]

@@ -15,6 +15,8 @@ from matplotlib.patches import Polygon, Rectangle
 from msgspec import structs
 from ruled import box, near, ruled
 
+from cyclekit.api.zones import read_safety_function
+from cyclekit.dataset.cards import note
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.learning.rules.samples.distances import TO_BASE
@@ -196,3 +198,17 @@ def test_what_shows_no_staircase_is_refused(logged: Dataset, staircase: Any, tmp
     assert pl.read_parquet(tmp_path / "samples" / "s.parquet").height == 100
     with pytest.raises(DatasetError, match="100 samples have both positions"):
         read_zones(staircase, empty)
+
+
+def test_distances_in_a_doubted_pose_are_marked_before_the_numbers(logged: Dataset, staircase: Any, monkeypatch):
+    staircase.levels = LEVELS
+    monkeypatch.setattr("cyclekit.api.zones.trained_of", lambda model: model)
+    monkeypatch.setattr("cyclekit.api.zones.predictor_of", lambda model: model)
+    read = read_safety_function.__wrapped__  # without the check of types: the staircase is no trained model
+    assert read(staircase, logged).doubts == ()
+    doubted = Dataset(logged.path, structs.replace(logged.card, warnings=(note("frame-assumed"),)))
+    found = read(staircase, doubted)
+    assert found.doubts[0].startswith("RED pose: the tracker's pose is not given")
+    assert repr(found).splitlines()[0].endswith(found.doubts[0])
+    assert found.to_dict()["doubts"] == found.doubts
+    assert "RED pose" in " ".join(text.get_text() for text in found.plot().texts)

@@ -16,6 +16,7 @@ from msgspec import structs
 from report_pages import DistanceModel, Page, estimate
 
 from cyclekit.config.cells import NamedPlace
+from cyclekit.dataset.cards import note
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.statistics.distribution import CycleDistribution
@@ -224,3 +225,33 @@ def test_with_a_pose_that_is_only_assumed_the_light_is_red_and_nothing_is_said_o
     assert page.index("Red: these numbers") < page.index("Not to be trusted, see above")
     assert "safety function acts on distance" not in page
     assert "zones or presence" not in page
+
+
+@pytest.mark.usefixtures("words_only")
+def test_what_rests_on_a_doubted_pose_is_marked(dataset, tmp_path):
+    given = {"estimates": [estimate()], "kind": "html"}
+    sound = with_pose(dataset)
+    doubted = Dataset(dataset.path, structs.replace(sound.card, warnings=(note("frame-assumed"),)))
+    mark = "This rests on what is red above: it cannot be trusted."
+    for logs, marked in ((sound, False), (doubted, True)):
+        page = compose_report(logs, DistanceModel(), tmp_path / "r.html", **given).path.read_text("utf-8")
+        captions = re.findall(r"<figcaption>(.*?)</figcaption>", page.partition('<section id="why">')[2])
+        assert [caption.startswith(mark) for caption in captions[:3]] == [marked] * 3
+        for name in ("where", "helps"):
+            section = page.partition(f'<section id="{name}">')[2].partition("</section>")[0]
+            assert (mark in section) is marked
+
+
+def with_pose(dataset):
+    """The same logs with people whose clock and pose the cell file gives."""
+    recordings = [
+        structs.replace(
+            one,
+            clock=structs.replace(one.clock, method="cell-file"),
+            frame=structs.replace(one.frame, method="robot base"),
+        )
+        if "people" in one.tables
+        else one
+        for one in dataset.card.recordings
+    ]
+    return Dataset(dataset.path, structs.replace(dataset.card, recordings=tuple(recordings)))

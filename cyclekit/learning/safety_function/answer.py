@@ -82,6 +82,7 @@ class SafetyFunction(Result):
         path_m: If signals detect people, corners x, y (base frame, m) of cells of the robot's path, shape (C, 2),
             PATH_M wide.
         path_speed: Speed in these cells while a signal alone is on, by name of the signal, shape (C,), 0 to 1.
+        doubts: What is amber or red of clock and pose, on which every distance rests.
     """
 
     levels: tuple[float, ...]
@@ -103,6 +104,7 @@ class SafetyFunction(Result):
     cell: CellOnFloor = field(default_factory=CellOnFloor)
     path_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
     path_speed: Mapping[str, Floats] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
 
     def plot(self) -> Drawing:
         """Return the speed over the distance and the floor seen from above, as a matplotlib figure."""
@@ -152,11 +154,12 @@ class SafetyFunction(Result):
 
     def _lines(self) -> list[str]:
         if self.commanded.rule is not None:
-            return list(self.rule_sentences)
+            return [*self.doubts, *self.rule_sentences]
         best = self.explained.get(self.rule, float("nan"))
         return [
+            *self.doubts,
             f"levels {', '.join(f'{fixed(level, 2)}' for level in self.levels)}; by {self.rule} (explains "
-            f"{percent(best, 1)})"
+            f"{percent(best, 1)})",
         ]
 
 

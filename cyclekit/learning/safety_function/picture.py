@@ -42,7 +42,8 @@ def zones_figure(zones: SafetyFunction) -> Drawing:
 
     if zones.path_speed:
         return _path_figure(zones)
-    texts = [line for one in zones.rule_sentences for line in textwrap.wrap(f"- {one}", LETTERS)]
+    said = (*zones.doubts, *(f"- {one}" for one in zones.rule_sentences))
+    texts = [line for one in said for line in textwrap.wrap(one, LETTERS)]
     if zones.shapes:
         texts.append("Lines on the floor: the rule; dashed: what the operator leaves before the robot speeds up again.")
     texts.append(PROOF)

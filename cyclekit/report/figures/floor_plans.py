@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cyclekit.report.figures.figure import Chart, Figure
+from cyclekit.report.light import resting
 from cyclekit.report.pictures import Picture
 from cyclekit.text.numbers import fixed, whole_percent
 
@@ -27,6 +28,7 @@ def _zones(page: PageInputs) -> Iterator[Chart]:
     caption = texts("why.zone_model" if plan.zones_of_model else "why.zone_log")
     if plan.shapes:
         caption += " " + texts("why.zone_rule")
+    caption = f"{resting(texts, page.basis)} {caption}".lstrip()
     yield Chart(picture, caption, title=texts("why.zone_title"), half=True)
 
 
@@ -47,6 +49,7 @@ def _lost_time(page: PageInputs) -> Iterator[Chart]:
         x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
         alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
     picture = Picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))
+    caption = f"{resting(texts, page.basis)} {caption}".lstrip()
     yield Chart(picture, caption, title=title, half=True)
 
 

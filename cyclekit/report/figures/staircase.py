@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.report.figures.figure import Chart, Figure
+from cyclekit.report.light import resting
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
 from cyclekit.text.numbers import UNKNOWN, count, fixed, span, whole_percent
@@ -37,7 +38,8 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     levels, alt = page.dataset.levels, texts("why.picture", bands=bands)
     picture = Picture("staircase", alt, lambda width_in: maps.staircase(width_in, found, levels, labels))
     table = _bands(texts, found) if found.bands else None
-    yield Chart(picture, texts("why.caption"), numbers=_data(texts, found), table=table)
+    caption = f"{resting(texts, page.basis)} {texts('why.caption')}".lstrip()
+    yield Chart(picture, caption, numbers=_data(texts, found), table=table)
 
 
 def _bands(texts: ReportTexts, found: LoggedResponse) -> ReportTable:

@@ -92,7 +92,7 @@ def write_short_cycles(folder: Path, executions: int, kind: str) -> None:
         columns["actual_digital_input_bits"] = np.where(scaling < 1.0, 16, 0)
         columns["actual_digital_output_bits"] = (leg + 1) % 2 + 2 * (u >= 1.0)
         changed = np.flatnonzero(np.diff(leg, prepend=-2))
-        events = {"time": stamps_s[changed], "signal": ["step"] * len(changed), "value": (leg[changed] + 1) % 6}
+        events = {"time_s": stamps_s[changed], "signal": ["step"] * len(changed), "value": (leg[changed] + 1) % 6}
         pl.DataFrame(events).write_csv(folder / "plc.csv", float_precision=3)
     else:
         rows = {

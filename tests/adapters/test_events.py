@@ -69,12 +69,16 @@ def test_the_usual_names_of_the_columns_in_any_order(tmp_path, header, order):
         ("time_ms", "1500", "relative", 1.5),
         ("t_s", "12", "relative", 12.0),
         ("Time [us]", "1500000", "relative", 1.5),
-        ("time", "12.5", "relative", 12.5),
+        ("Time [min]", "1.5", "relative", 90.0),
+        ("Time (1/10 s)", "15", "relative", 1.5),
+        ("FILETIME", "133590312002500000", "epoch", 1714557600.25),
+        ("time", "638501544002500000", "relative", 1714557600.25),
+        ("Time_ms", "45413416669,5602", "relative", 1714557600.25),
     ],
 )
 def test_what_a_time_counts_is_decided_by_how_it_is_written(tmp_path, name, text, clock, seconds):
     log = read(tmp_path / "plc.csv", f'{name};signal;value\n"{text}";goal;A\n')
-    assert log.events["t_s"].to_list() == [pytest.approx(seconds, abs=1e-6)]
+    assert log.events["t_s"].to_list() == [pytest.approx(seconds, abs=2e-5)]
     assert log.clock == clock
 
 
@@ -101,10 +105,12 @@ def test_the_cell_file_decides_the_unit_and_the_zone(tmp_path):
         read(tmp_path / "plc.csv", text, role="people")
 
 
-def test_plain_numbers_with_fractions_are_seconds_and_that_is_said(tmp_path):
-    log = read(tmp_path / "plc.csv", "time,signal,value\n1,goal,A\n2.5,goal,B\n")
-    assert log.events["t_s"].to_list() == [1.0, 2.5]
-    assert any("seconds assumed" in said for said in log.warnings)
+def test_plain_numbers_with_fractions_may_be_seconds_or_minutes_and_are_refused_with_both(tmp_path):
+    text = "time,signal,value\n1,goal,A\n2.5,goal,B\n"
+    with pytest.raises(LogError, match=r"its unit may be s, .*min") as refusal:
+        read(tmp_path / "plc.csv", text)
+    assert "time_unit" in refusal.value.cure
+    assert read(tmp_path / "plc.csv", text, map={"time_unit": "min"}).events["t_s"].to_list() == [60.0, 150.0]
 
 
 def test_a_tag_log_of_a_panel_is_read_by_its_date_and_not_by_its_day_count(tmp_path):
@@ -157,7 +163,7 @@ def test_a_row_whose_time_is_written_otherwise_is_set_aside(tmp_path):
         "time,signal,value\n" + "2024-05-01 10:00:00,goal,A\n" * 900 + "yesterday,goal,B\n2024-05-01 10:00:01,goal,C\n"
     )
     log = read(tmp_path / "plc.csv", text)
-    assert log.set_aside.rows() == [(902, "its time has another format ('yesterday')")]
+    assert log.set_aside.rows() == [(902, "its time does not match 'iso' (the first: 'yesterday')")]
     assert log.events["value"][-1] == "C"
 
 

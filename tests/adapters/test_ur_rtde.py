@@ -47,7 +47,7 @@ def test_both_writers_and_their_edited_kin_give_the_same_table(tmp_path, ur, del
 
 def with_times(ur, times, delimiter=","):
     """A log of the PC's times where RTDE has the controller's."""
-    lines = ur.text([ur.row(float(i)) for i in range(len(times))], delimiter, "\n").splitlines()
+    lines = ur.text([ur.row(float(i), actual_TCP_pose_0=i) for i in range(len(times))], delimiter, "\n").splitlines()
     at = lines[0].split(delimiter).index("timestamp")
     out = [lines[0]]
     for line, time in zip(lines[1:], times, strict=True):
@@ -75,6 +75,15 @@ def test_the_time_of_a_pc_is_read_as_such(tmp_path, ur, times, said):
     assert (log.clock, log.warnings, log.set_aside.height) == ("epoch", (), 0)
     assert log.robot["t_s"].to_list() == pytest.approx([1791172801.008, 1791172801.016], abs=1e-6)
     assert log.facts["time"].startswith("the PC's clock")
+
+
+@pytest.mark.parametrize("form", ["2026-10-05T06:{:02d}:{:02d}Z", "17911728{1:02d}"])
+def test_rows_that_share_whole_seconds_of_a_pc_are_spread(tmp_path, ur, form):
+    path = write(tmp_path / "run.csv", with_times(ur, [form.format(0, (3 + k) // 25) for k in range(125)]))
+    log = read(path)
+    assert log.set_aside.is_empty()
+    assert log.robot["t_s"].diff().drop_nulls().to_list() == pytest.approx([0.04] * 124, abs=1e-5)
+    assert any("spread evenly, at 25 Hz" in said for said in log.warnings)
 
 
 def test_a_time_of_day_without_a_zone_is_read_and_said_to_lack_it(tmp_path, ur):

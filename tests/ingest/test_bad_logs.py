@@ -97,3 +97,15 @@ def test_a_task_list_in_milliseconds_read_as_seconds_cannot_be() -> None:
     listed = {**rows, "agent": "robot", "task": "pick"}
     (text,) = examined(Recording(task_list=pl.DataFrame(listed))).impossible
     assert "give time_unit" in text
+
+
+def test_a_log_of_which_no_row_can_be_used_is_not_called_empty(tmp_path: Path) -> None:
+    rows = [f"{133601418000000000 + 100000 * k},{k},0,0" for k in range(60)]
+    (tmp_path / "robot.csv").write_text("\n".join(["Timestamp,X,Y,Z", *rows, ""]), encoding="utf-8")
+    columns = {"time": "Timestamp", "time_unit": "us", "x": "X", "y": "Y", "z": "Z", "length_unit": "mm"}
+    source = Source("robot.csv", adapter="csv", role="robot", map=columns)
+    with pytest.raises(
+        LogError, match=r"none of its 60 rows can be used; the first \(line 2\): its time is not"
+    ) as raised:
+        ingest([tmp_path / "robot.csv"], tmp_path / "d", cell=Cell(sources=(source,)))
+    assert "remove the file" not in str(raised.value)

@@ -27,7 +27,7 @@ map = { time = "t", clock = "epoch", x = "x", y = "y", z = "z", scaling = "s", s
 path = "people.csv"
 adapter = "csv"
 role = "people"
-map = { time = "t", clock = "epoch", x = "x", y = "y", person = "who" }
+map = { time = "t", time_unit = "s", clock = "epoch", x = "x", y = "y", person = "who" }
 """
 
 

@@ -28,7 +28,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[OwnLog]:
     return [*texts, *events]
 
 
-EVENTS = "t,signal,value\n" + "".join(f"{row}.25,goal_button,{row % 2}\n" for row in range(12))
+EVENTS = "t_s,signal,value\n" + "".join(f"{row}.25,goal_button,{row % 2}\n" for row in range(12))
 
 
 def read(log: OwnLog, file: str, data: bytes) -> Recording:

@@ -88,8 +88,8 @@ def test_after_waiting_a_signal_tells_how_much_of_a_halt_was_loss(tmp_path: Path
             plain = plain.with_columns(output_int_register_0=bits // 8 + 40)
         else:
             changed = rows.filter(bits != bits.shift(1))
-            events = changed.select(time=pl.col("timestamp") - 0.004, value=pl.col("actual_digital_output_bits") // 8)
-            events.select("time", pl.lit("GRIP").alias("signal"), "value").write_csv(tmp_path / "logs" / "plc.csv")
+            events = changed.select(time_s=pl.col("timestamp") - 0.004, value=pl.col("actual_digital_output_bits") // 8)
+            events.select("time_s", pl.lit("GRIP").alias("signal"), "value").write_csv(tmp_path / "logs" / "plc.csv")
             cell = Cell(sources=(Source("plc.csv", adapter="events", role="events", clock_offset_s=0.0),))
         plain.write_csv(log, separator=" ")
     tasks = made_of(tmp_path, tmp_path / "logs", cell).tasks()

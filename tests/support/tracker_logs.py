@@ -195,7 +195,7 @@ def planner(folder: Path, frames: int = 4) -> Path:
 
 def safety_log(folder: Path, frames: int = 4) -> Path:
     return _lines(
-        folder / "ovr.csv", [",Timestamp,Safe_Ovr", *(f"{i},{i}.500000,{100 - i}.000" for i in range(frames))]
+        folder / "ovr.csv", [",Timestamp [s],Safe_Ovr", *(f"{i},{i}.500000,{100 - i}.000" for i in range(frames))]
     )
 
 

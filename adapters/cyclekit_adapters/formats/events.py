@@ -2,9 +2,8 @@
 
 Goal buttons, exports of PLC tags and digital inputs are logged in two forms. In the long form each row is one change of
 one signal. In the wide form each row holds the states of all signals; the first states and all changes become events.
-Columns are found by their usual names, English and German. Times are dates (ISO 8601, or day.month.year), counts since
-1970, or numbers with a unit in the column's name. Other integers may be seconds, milliseconds or cycles, and are
-refused. Values remain text.
+Columns are found by their usual names, English and German. Times are dates, times of day, or numbers whose unit is
+proven; others are refused. Values remain text.
 """
 
 from __future__ import annotations
@@ -15,26 +14,30 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
-from cyclekit.errors import ConfigError, DamagedLog, LogError
+from cyclekit.errors import ConfigError, DamagedLog
 from cyclekit.schema import EVENTS, conform
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.robots.controller_time import BackwardSteps
-from cyclekit_adapters.tasks.event_table import UNITS, EventTable, TimeColumn, counted_in, event_table
-from cyclekit_adapters.tasks.row_times import T_S, timed
+from cyclekit_adapters.tasks.event_table import EventTable, event_table
 from cyclekit_adapters.tasks.safety_columns import is_safety_log
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.tasks.task_columns import is_task_list
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
-from cyclekit_adapters.text.repeated_hour import RepeatedHour
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
-from cyclekit_adapters.text.written_time import checked_zone
+from cyclekit_adapters.times.local_clock import LocalClock
+from cyclekit_adapters.times.proof import file_date
+from cyclekit_adapters.times.row_times import T_S, require_known, timed
+from cyclekit_adapters.times.units import Unit, checked_unit
+from cyclekit_adapters.times.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
 _WHERE = "[sources.map] of an event log"
+_MARK = r"^\$RT_\w+\$$"
+"""Signals that WinCC writes of its own logging."""
 
 
 class _EventCsv:
@@ -49,16 +52,19 @@ class _EventCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         unit, zone = _settings(options)
         table = _table(path, unit)
-        times, steps, states, hour = table.times, BackwardSteps(T_S), StateChanges(), RepeatedHour(zone)
-        clock = "epoch" if times.clock == "epoch" or (zone and _has_date(times)) else "relative"
+        times, steps, states = table.times, BackwardSteps(T_S), StateChanges()
+        hour, clock = LocalClock(zone, times.pattern), times.clock(zone)
 
         def make(rows: TextRows) -> Recording:
+            if table.signal:
+                marks = rows.frame[table.signal].str.contains(_MARK).fill_null(value=False)
+                rows = rows.without(marks, "a mark of WinCC, no event")
             rows = timed(rows, times, hour)
             events = states.changes(rows.frame, T_S, table.signals) if table.signals else _long(rows.frame, table)
             steps.add(rows.frame)
             return Recording(
                 events=events,
-                clock=clock,  # type: ignore[arg-type]  # one of two words
+                clock=clock,
                 rows_are="line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,
@@ -70,7 +76,8 @@ class _EventCsv:
                 "time": f"{' and '.join(times.columns)}: {times.why}",
                 "columns": ", ".join(table.names[:60]),
             }
-            return replace(last, warnings=(*_warnings(times, zone, steps.count), *hour.warnings()), facts=facts)
+            back = [f"time steps back {steps.count} time(s)"] if steps.count else []
+            return replace(last, warnings=(*times.warnings(zone), *back, *hour.warnings()), facts=facts)
 
         texts = [*(times.columns if times.pattern else ()), *table.signals]
         texts += [name for name in (table.signal, table.value) if name is not None]
@@ -88,58 +95,37 @@ class _EventCsv:
         yield from in_parts(path, blocks, make, finish)
 
 
-def _settings(options: ReadOptions) -> tuple[str | None, str | None]:
+def _settings(options: ReadOptions) -> tuple[Unit | None, str | None]:
     """Return the unit and time zone of times given in the cell file."""
     rest = dict(options.map)
     rest.pop("time_zone", None)
-    unit = words(replace(options, map=rest), "event", {"time_unit": tuple(UNITS), "time_zone": ()}).get("time_unit")
+    given = rest.pop("time_unit", None)
+    words(replace(options, map=rest), "event", {"time_unit": (), "time_zone": ()})
+    unit = None if given is None else checked_unit(str(given), _WHERE)
     if options.role not in (None, "events"):
         other = "task-list" if options.role == "tasks" else "csv"
         raise ConfigError(f"an event log cannot be read as {options.role}", cure=f'Map it with adapter = "{other}".')
     return unit, checked_zone(options.map.get("time_zone"), _WHERE)
 
 
-def _table(path: Path, unit: str | None) -> EventTable:
+def _table(path: Path, unit: Unit | None) -> EventTable:
     """Return the table with its time format.
 
     Raises:
         DamagedLog: It is not an event log.
         LogError: The unit of its times cannot be determined.
     """
-    table = event_table(head_of(path))
+    table = event_table(head_of(path), unit, file_date(path))
     if table is None:
         cause = "no columns for time, signal and value, and none for time and states of 0 and 1"
         raise DamagedLog(path, cause, cure='Map its columns with adapter = "csv".')
-    times = table.times
-    if unit is not None and not times.pattern:
-        times = counted_in(times.columns, unit, "from the cell file", [], times.sample)
-    if times.seconds is None:
-        cause = f"the times of column {times.columns[0]!r} ({times.sample[:40]!r}) are ambiguous: {times.why}"
-        cure = 'Give time_unit in [sources.map], or map the columns with adapter = "csv" and its time_format.'
-        raise LogError(path, cause, cure=cure)
-    return replace(table, times=times)
+    require_known(path, table.times)
+    return table
 
 
 def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:
     signal, value = pl.col(str(table.signal)).alias("signal"), pl.col(str(table.value)).alias("value")
     return conform(frame.select(pl.col(T_S).alias("t_s"), signal, value, "source_row"), EVENTS)
-
-
-def _has_date(times: TimeColumn) -> bool:
-    return "%d" in times.pattern or times.pattern == "iso"
-
-
-def _warnings(times: TimeColumn, zone: str | None, steps_back: int) -> list[str]:
-    messages = []
-    if "fractions" in times.why:
-        messages.append(
-            "the unit of time is not stated: seconds assumed, because the numbers have fractions; check time_unit"
-        )
-    if times.pattern and times.clock != "epoch" and zone is None:
-        messages.append("its times have no time zone, so they cannot be aligned with other logs; give time_zone")
-    if steps_back:
-        messages.append(f"time steps back {steps_back} time(s)")
-    return messages
 
 
 ADAPTER: StreamingAdapter = _EventCsv()

@@ -25,7 +25,7 @@ from cyclekit_adapters.robots.host_clock import HostClock
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
-from cyclekit_adapters.text.written_time import checked_zone
+from cyclekit_adapters.times.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import polars as pl
 
@@ -23,18 +23,20 @@ from cyclekit_adapters.mapped.draft_events import event_draft
 from cyclekit_adapters.mapped.draft_table import sheet_draft_table, text_draft_table
 from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.mapped.map_table import MapTable, text_table
-from cyclekit_adapters.mapped.mapped_time import T_S, name_their_zone, require_epoch, timed
+from cyclekit_adapters.mapped.mapped_time import mapped_times, require_epoch
 from cyclekit_adapters.mapped.sheets import sheet_table
 from cyclekit_adapters.robots.controller_time import BackwardSteps, Range, RepeatFilter
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells, first_width
-from cyclekit_adapters.text.repeated_hour import RepeatedHour
 from cyclekit_adapters.text.text_rows import TextRows, Wanted
 from cyclekit_adapters.text.workbook import is_workbook
+from cyclekit_adapters.times.coarse_stamps import Spread, share_stamps, spread_of
+from cyclekit_adapters.times.local_clock import LocalClock
+from cyclekit_adapters.times.row_times import T_S, TimeColumn, timed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from cyclekit.adapter import ClockKind
@@ -55,6 +57,13 @@ class _MappedCsv:
             return draft
         return event_draft(path) or draft
 
+    def _may_be(self, path: Path) -> str:
+        """Return what a draft says of the time of a table whose map names none."""
+        draft = self.draft(path)
+        lines = [one for one in draft.map if one.key in ("time", "time_unit", "time_format")] if draft else []
+        said = [f"{one.key} = {one.value!r}{f' ({one.why})' if one.why else ''}" for one in lines]
+        return f"It may be {', '.join(said)}. " if said else ""
+
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return concat_parts(self.stream(path, options))
 
@@ -68,21 +77,28 @@ class _MappedCsv:
         mapping, names = columns.mapping, columns.names
         if not mapping.time and not options.rate_hz:
             cure = 'Map it in cell.toml (time = "..."), or give rate_hz = ... if the rows have a fixed rate.'
-            raise MissingColumns(path, ["time"], names, cure)
-        zoned = name_their_zone(table.first_rows, names, mapping)
-        clock = mapping.clock_kind(zoned=zoned)
+            raise MissingColumns(path, ["time"], names, f"{self._may_be(path)}{cure}")
+        cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(names)}
+        times = mapped_times(path, mapping, cells, options.rate_hz, role)
+        clock = cast("ClockKind", mapping.clock or times.clock(mapping.time_zone))
         repeats, seen, back = RepeatFilter(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
-        events, hour = StateChanges(mapping.names), RepeatedHour(mapping.time_zone)
+        events, hour = StateChanges(mapping.names), LocalClock(mapping.time_zone, times.pattern)
         canonicals: dict[str, Callable[[pl.DataFrame, CsvMap], pl.DataFrame]]
         canonicals = {"robot": _robot, "people": _people, "events": partial(_events, events)}
         canonical = canonicals[role]
         wanted, lists = _wanted(columns, role)
+        stamps = [" ".join(row) for row in zip(*(cells.get(name, []) for name in times.columns), strict=False)]
+        spread = None
+        if share_stamps(stamps, cells.get(str(mapping.person), ()) if role == "people" else ()):
+            again = map(lists.rows, table.blocks(names, wanted))
+            spread = _spread(path, columns, times, options, role, again)
 
         def make(rows: TextRows) -> Recording:
-            rows = timed(lists.rows(rows), mapping, options.rate_hz, hour, zoned=zoned)
+            rows = timed(lists.rows(rows), times, hour, options.rate_hz)
+            rows = spread.rows(rows) if spread else rows
             rows = _of_good_quality(rows, mapping)
             if clock == "epoch":
-                require_epoch(path, rows.frame, mapping)
+                require_epoch(path, rows.frame, times)
             if role == "robot":
                 rows = repeats.rows(rows, "repeats the time of the row before it")
             else:
@@ -102,11 +118,27 @@ class _MappedCsv:
             )
 
         def finish(last: Recording) -> Recording:
-            facts = {"columns": ", ".join(name[:80] for name in names[:60]), **table.facts}
-            warnings = (*seen.warnings(repeats.back, clock), *back.warnings(), *hour.warnings())
+            facts = {"time": f"{' and '.join(times.columns)}: {times.why}" if times.columns else times.why}
+            facts |= {"columns": ", ".join(name[:80] for name in names[:60]), **table.facts}
+            unplaced = times.warnings(mapping.time_zone) if clock != "epoch" else []
+            coarse = [spread.said] if spread else []
+            warnings = (*seen.warnings(repeats.back), *unplaced, *coarse, *back.warnings(), *hour.warnings())
             return replace(last, warnings=warnings, facts=facts)
 
         yield from in_parts(path, table.blocks(names, wanted), make, finish)
+
+
+def _spread(
+    path: Path, columns: Columns, times: TimeColumn, options: ReadOptions, role: Role, rows: Iterable[TextRows]
+) -> Spread | None:
+    """Return where rows lie within the stamps that they share; None if they share none."""
+    mapping = columns.mapping
+    values = [*mapping.places().values(), *mapping.joints, *([mapping.speed] if mapping.speed else [])]
+    clock = LocalClock(mapping.time_zone, times.pattern)
+    stamped = (timed(block, times, clock, options.rate_hz) for block in rows)
+    person = mapping.person if role == "people" else None
+    sampled = list(mapping.tags) if role == "events" else values
+    return spread_of(path, stamped, sampled, track=person, rate_hz=options.rate_hz, ask=role != "events")
 
 
 def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
@@ -301,7 +333,7 @@ class _Seen:
         if self.mapping.state:
             self.states |= set(frame[self.mapping.state].drop_nulls().unique().to_list())
 
-    def warnings(self, back: int, clock: ClockKind) -> list[str]:
+    def warnings(self, back: int) -> list[str]:
         mapping, said = self.mapping, []
         if back:
             said.append(f"time steps back {back} time(s): each part is a separate run")
@@ -320,8 +352,6 @@ class _Seen:
         ]
         if other := sorted(self.states - set(STATES) - set(mapping.states)):
             said.append(f"states {', '.join(map(repr, other[:5]))} are unknown; map them in `states`")
-        if mapping.is_date and clock != "epoch":
-            said.append("its times of day have no time zone, so they cannot be aligned with other logs; give time_zone")
         return said
 
 

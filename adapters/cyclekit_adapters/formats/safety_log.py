@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
-from cyclekit.errors import ConfigError, LogError, UnknownName
+from cyclekit.errors import ConfigError, EmptyLog, LogError
 from cyclekit.schema import SAFETY, conform
 from cyclekit_adapters.robots.controller_time import BackwardSteps
-from cyclekit_adapters.tasks.event_table import TIME_NAMES, UNITS, TimeColumn, counted_in, stem_of, times_of
-from cyclekit_adapters.tasks.row_times import T_S, timed
 from cyclekit_adapters.tasks.safety_columns import LENGTHS, WHERE, SafetyColumns, is_safety_log, mapped_columns
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, header_names, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
-from cyclekit_adapters.text.repeated_hour import RepeatedHour
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
-from cyclekit_adapters.text.written_time import checked_zone
+from cyclekit_adapters.times.local_clock import LocalClock
+from cyclekit_adapters.times.proof import TimeEvidence, file_date
+from cyclekit_adapters.times.row_times import T_S, TimeColumn, require_known, time_column, timed
+from cyclekit_adapters.times.units import Unit, checked_unit, unit_in_name
+from cyclekit_adapters.times.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,7 +59,7 @@ class _Settings:
 
     full: float
     full_given: bool
-    unit: str | None
+    unit: Unit | None
     zone: str | None
     columns: dict[str, object]
 
@@ -79,17 +80,15 @@ class _SafetyCsv:
         names = _names(line, delimiter)
         columns = mapped_columns(path, names, settings.columns)
         times = _times(path, names, columns.time, delimiter, settings)
-        zoned = times.clock == "epoch" or (
-            settings.zone is not None and times.pattern not in ("", "%H:%M", "%H:%M:%S%.f")
-        )
-        seen, steps, hour = _Seen(), BackwardSteps(T_S), RepeatedHour(settings.zone)
+        clock = times.clock(settings.zone)
+        seen, steps, hour = _Seen(), BackwardSteps(T_S), LocalClock(settings.zone, times.pattern)
 
         def make(rows: TextRows) -> Recording:
             rows = timed(rows, times, hour)
             steps.add(rows.frame)
             return Recording(
                 safety=_table(rows.frame, columns, settings.full, seen),
-                clock="epoch" if zoned else "relative",
+                clock=clock,
                 rows_are="line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,
@@ -97,7 +96,7 @@ class _SafetyCsv:
 
         def finish(last: Recording) -> Recording:
             _check(path, columns, settings, seen)
-            warnings = (*_warnings(times, seen, steps.count, zoned=zoned), *hour.warnings())
+            warnings = (*times.warnings(settings.zone), *_warnings(seen, steps.count), *hour.warnings())
             return replace(last, warnings=warnings, facts=_facts(columns, times, settings))
 
         numbers = [*columns.overrides, *(name for name in (columns.distance, columns.deviation) if name)]
@@ -135,27 +134,23 @@ def _settings(options: ReadOptions) -> _Settings:
         raise ConfigError(
             f"{WHERE}: override_max = {full!r} is neither 1 nor 100", cure="Give override_max = 1 or 100."
         )
-    if unit is not None and unit not in UNITS:
-        raise UnknownName(WHERE, "time_unit", str(unit), UNITS)
-    unit = None if unit is None else str(unit)
-    return _Settings(float(str(full)), "override_max" in options.map, unit, checked_zone(zone, WHERE), rest)
+    known = None if unit is None else checked_unit(str(unit), WHERE)
+    return _Settings(float(str(full)), "override_max" in options.map, known, checked_zone(zone, WHERE), rest)
 
 
 def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, settings: _Settings) -> TimeColumn:
     at = names.index(column)
     rows = [fields_of(line, delimiter) for line in head_lines(path, _FIRST)[1:]]
     sample = [text for row in rows if at < len(row) and (text := row[at].strip().strip('"')).lower() not in _UNKNOWN]
+    if not sample and any(any(cell.strip() for cell in row) for row in rows):
+        raise LogError(path, f"no row has a time (column {column!r})", cure="Check which column is the time.")
     if not sample:
-        raise LogError(path, "a header and no rows", cure="Record again, or remove the file.")
+        raise EmptyLog(path)
     comma = delimiter != ","
-    times = times_of((column,), sample, stem_of(column, TIME_NAMES)[1], decimal_comma=comma)
-    if times is not None and settings.unit is not None and not times.pattern:
-        numbers = [float(text.replace(",", ".") if comma else text) for text in sample]
-        times = counted_in((column,), settings.unit, "from the cell file", numbers, sample[0])
-    if times is None or times.seconds is None:
-        why = f": {times.why}" if times else ""
-        cause = f"the times of column {column!r} ({sample[0][:40]!r}) are ambiguous{why}"
-        raise LogError(path, cause, cure='Give time_unit = "s" (ms, us, ns) in [sources.map].')
+    evidence = TimeEvidence(column, unit_in_name(column), before_s=file_date(path))
+    times = time_column((column,), sample, evidence, unit=settings.unit, decimal_comma=comma)
+    times = times or TimeColumn((column,), why="neither numbers nor times in a known form", sample=sample[0])
+    require_known(path, times)
     return times
 
 
@@ -193,11 +188,7 @@ def _check(path: Path, columns: SafetyColumns, settings: _Settings, seen: _Seen)
         raise LogError(path, cause, cure="Give override_max = 1 (or 100) in [sources.map].")
 
 
-def _warnings(times: TimeColumn, seen: _Seen, steps_back: int, *, zoned: bool) -> Iterator[str]:
-    if "fractions" in times.why:
-        yield "the unit of time is not stated: seconds assumed, because the numbers have fractions; check time_unit"
-    if times.pattern and not zoned:
-        yield "its times have no time zone, so they cannot be aligned with other logs; give time_zone"
+def _warnings(seen: _Seen, steps_back: int) -> Iterator[str]:
     if seen.outside:
         yield f"the override is below 0 or above full speed in {seen.outside} rows: unknown there"
     if seen.far_m > FAR_M:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +32,8 @@ from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells
 from cyclekit_adapters.text.text_blocks import head_lines, head_of
 from cyclekit_adapters.text.text_layout import fields_of
-from cyclekit_adapters.text.written_time import checked_zone
+from cyclekit_adapters.times.coarse_stamps import spread_of
+from cyclekit_adapters.times.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -78,9 +80,16 @@ class _UrRtdeCsv:
         wanted = list(dict.fromkeys([*_fields(register, joints, options.columns), *needed]))
         clock = _clock(path, layout, options)
         repeats, seen = RepeatFilter("timestamp"), _Seen()
+        blocks = partial(_blocks, path, layout, wanted, tuple(lists.wanted), clock)
+        spread = None
+        if clock.coarse:
+            stamped = (clock.seconds(lists.rows(block)) for block in blocks())
+            moving = [name for name in wanted if name.startswith(("actual_TCP_pose_", "actual_q_")) and name in names]
+            spread = spread_of(path, stamped, moving, rate_hz=options.rate_hz, time="timestamp")
 
         def make(rows: TextRows) -> Recording:
-            rows = repeats.rows(clock.seconds(lists.rows(rows)))
+            rows = clock.seconds(lists.rows(rows))
+            rows = repeats.rows(spread.rows(rows) if spread else rows)
             seen.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, register, joints),
@@ -100,9 +109,10 @@ class _UrRtdeCsv:
                 "repeated_rows": str(repeats.repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
             }
-            return replace(last, warnings=(*clock.warnings(), *repeats.warnings(), *seen.warnings(names)), facts=facts)
+            said = [*clock.warnings(), *([spread.said] if spread else []), *repeats.warnings(), *seen.warnings(names)]
+            return replace(last, warnings=tuple(said), facts=facts)
 
-        yield from in_parts(path, _blocks(path, layout, wanted, tuple(lists.wanted), clock), make, finish)
+        yield from in_parts(path, blocks(), make, finish)
 
 
 def _blocks(

@@ -10,17 +10,16 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, cast
 
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit_adapters.text.written_time import checked_zone
+from cyclekit_adapters.times.units import FRAME, checked_unit, unit_named
+from cyclekit_adapters.times.written_time import checked_zone
 
 if TYPE_CHECKING:
-    from cyclekit.adapter import ClockKind, ReadOptions, Role
+    from cyclekit.adapter import ReadOptions, Role
 
 WHERE = "[sources.map] of a CSV"
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 RADIANS = {"rad": 1.0, "deg": 0.017453292519943295}
 STATES = ("playing", "paused", "stopped")
-FRAME, EXCEL = "frame", "excel"
 _CLOCKS = ("epoch", "uptime", "relative")
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "whitespace": "\\s+"}
 _NUMBERS = {"scaling_max": (1, 100)}
@@ -37,8 +36,8 @@ class CsvMap:
         sheet: Sheet of an Excel workbook; None = the first one that holds a table.
         columns: Column names of a table without a header line.
         time: Column of the time, or of date and time of day, or of its parts (seconds and nanoseconds).
-        time_unit: Unit of a numeric time, or of each of its parts, the largest first; "excel" = days as counted by
-            spreadsheets.
+        time_unit: Unit of a numeric time, or of each of its parts, the largest first (`times.units`), or `frame`; empty
+            = not given.
         time_format: Format of a time in text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
         time_zone: Time zone of such a time, for example "Europe/Rome"; without it the clock counts as relative.
         confidence: Column of the tracker's confidence in a person's position; 0 = it repeats an old one.
@@ -57,7 +56,7 @@ class CsvMap:
     skip_rows: int = 0
     columns: tuple[str, ...] = ()
     time: tuple[str, ...] = ()
-    time_unit: tuple[str, ...] = ("s",)
+    time_unit: tuple[str, ...] = ()
     time_format: str | None = None
     time_zone: str | None = None
     clock: str | None = None
@@ -94,20 +93,6 @@ class CsvMap:
         """Return the field delimiter; None = determine it from the header."""
         return None if self.delimiter is None else _DELIMITERS.get(self.delimiter, self.delimiter)
 
-    @property
-    def is_date(self) -> bool:
-        """True if a time consists of date and time of day, in some time zone."""
-        return self.time_format is not None or self.time_unit == (EXCEL,)
-
-    def clock_kind(self, *, zoned: bool) -> ClockKind:
-        """Return the kind of clock: as given, else epoch if date and time zone are known.
-
-        Args:
-            zoned: The times name their time zone.
-        """
-        known = "epoch" if self.is_date and (self.time_zone or zoned) else "relative"
-        return cast("ClockKind", self.clock or known)
-
     def role(self) -> Role:
         """Return the role implied by the mapped columns; x, y, z alone fit both robot and person.
 
@@ -139,7 +124,7 @@ def csv_map(options: ReadOptions) -> CsvMap:
         values[key] = _checked(key, value)
     mapping = CsvMap(**values)  # type: ignore[arg-type]  # types were checked key by key
     for unit in mapping.time_unit:
-        _one_of("time_unit", unit, [*SECONDS, FRAME, EXCEL])
+        checked_unit(unit, WHERE, (FRAME,))
     _one_of("length_unit", mapping.length_unit, METRES)
     _one_of("joint_unit", mapping.joint_unit, RADIANS)
     _one_of("clock", mapping.clock or "relative", _CLOCKS)
@@ -157,7 +142,8 @@ def _agree(mapping: CsvMap, rate_hz: float | None) -> None:
         not separator or set(separator) & set('"\r\n') or separator == mapping.decimal == "."
     ):
         raise ConfigError(f"{WHERE}: delimiter = {mapping.delimiter!r} cannot separate fields")
-    if mapping.time_zone is not None and not mapping.is_date:
+    local = any(unit is not None and unit.local for unit in map(unit_named, mapping.time_unit))
+    if mapping.time_zone is not None and mapping.time_format is None and not local:
         raise ConfigError(f"{WHERE}: time_zone without time_format", cure='Add time_format = "iso" or a pattern.')
     if mapping.tags and mapping.signal:
         cure = "Name the columns in tags where each column is a signal, else signal and value."
@@ -177,12 +163,13 @@ def _agree_on_time(mapping: CsvMap, rate_hz: float | None) -> None:
         )
     if mapping.time_format is not None:
         return
-    if EXCEL in units and (len(units) > 1 or len(parts) > 1):
-        raise ConfigError(f"{WHERE}: time_unit = {list(units)}", cure='"excel" is the unit of one column alone.')
-    if len(units) > 1 and (len(units) != len(parts) or sorted(units, key=lambda u: -SECONDS[u]) != list(units)):
+    known = [unit for text in units if (unit := unit_named(text))]
+    if len(units) > 1 and any(unit.zero_s is not None for unit in known):
+        raise ConfigError(f"{WHERE}: time_unit = {list(units)}", cure="A count of dates is one column alone.")
+    if len(units) > 1 and (len(units) != len(parts) or sorted(known, key=lambda unit: -unit.seconds) != known):
         seen = f"{WHERE}: {len(parts)} columns of time and time_unit = {list(units)}"
         raise ConfigError(seen, cure='Give a unit for each, the largest first: time_unit = ["s", "ns"].')
-    if len(parts) > 1 and len(units) == 1:
+    if len(parts) > 1 and len(units) < 2:
         cure = 'Add time_format, for example "%d.%m.%Y %H:%M:%S", or the unit of each: time_unit = ["s", "ns"].'
         raise ConfigError(f"{WHERE}: several columns of time without format and units", cure=cure)
 

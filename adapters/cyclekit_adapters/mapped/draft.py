@@ -7,16 +7,18 @@ may be wrong. `draft_names` interprets names; `draft_columns` and `draft_times` 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.adapter import Draft, Proposal
-from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SECONDS
+from cyclekit_adapters.mapped.csv_map import METRES, RADIANS
 from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
 from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, name_of
-from cyclekit_adapters.mapped.draft_times import FoundTime, counts_rows, found_times
+from cyclekit_adapters.mapped.draft_times import counts_rows, found_times
+from cyclekit_adapters.times.proof import TimeEvidence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,11 +27,6 @@ if TYPE_CHECKING:
 
     from cyclekit_adapters.mapped.draft_table import DraftTable
 
-_FASTEST = 8.0
-"""Maximum plausible speed, m/s or rad/s: robots and people in a cell exceed it in less than 1 % of rows."""
-_DENSE = 0.1
-"""Maximum median step of a path logged at short intervals, as a share of its span."""
-_MOVES = 0.05
 _LISTED = 40
 _IN_OUT = {"di", "do", "din", "dout", "in", "out", "io", "input", "inputs", "output", "outputs", "digital", "bit"}
 _INPUTS, _OUTPUTS = {"di", "din", "in", "input", "inputs"}, {"do", "dout", "out", "output", "outputs"}
@@ -96,13 +93,22 @@ class _Findings:
         self.places = (persons or places(table, names, of_people=True)) if self.role == "people" else robots
         self.others = persons if self.role == "robot" else []
 
-    def moving(self, table: DraftTable) -> NDArray[np.float64] | None:
-        """Return a path in m or rad, shape (N, D); None if no unit is certain."""
+    def evidence(self, table: DraftTable) -> TimeEvidence:
+        """Return what these columns say of the unit of a time: a path in m or rad, if its unit is certain."""
+        of = "people" if self.role == "people" else "robot"
         for found, units in ((self.places, METRES), (self.joints, RADIANS)):
             if found and found[0].unit_sure:
-                columns = [table.numbers[column] for column in found[0].columns]
-                return np.stack(columns, axis=1) * units[found[0].unit]
-        return None
+                path = np.stack([table.numbers[column] for column in found[0].columns], axis=1) * units[found[0].unit]
+                return TimeEvidence(path=self._of_one(table, path), of=of, before_s=table.before_s)
+        return TimeEvidence(of=of, before_s=table.before_s)
+
+    def _of_one(self, table: DraftTable, path: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a path with the positions of all but the most frequent person unknown."""
+        if not self.people:
+            return path
+        cells = table.cells[self.people[0]]
+        most = Counter(cells).most_common(1)[0][0]
+        return np.where(np.array([cell == most for cell in cells])[:, None], path, np.nan)
 
 
 def _add_role(lines: _Lines, found: _Findings) -> None:
@@ -110,54 +116,19 @@ def _add_role(lines: _Lines, found: _Findings) -> None:
 
 
 def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _Findings) -> None:
-    times = found_times(table, names)
+    times = found_times(table, names, found.evidence(table))
     if not times:
         counter = counts_rows(table, names)
         if counter is not None:
             lines.add({"time": counter, "time_unit": "frame"}, "it counts rows")
         lines.source.append(Proposal("rate_hz", 100.0, "the table has no time: rows a second, as logged", sure=False))
         return
-    time = _decided(times[0], table, found.moving(table))
-    column: object = time.columns[0] if len(time.columns) == 1 else list(time.columns)
-    if time.patterns:
-        sure = len(time.patterns) == 1
-        also = "" if sure else f"; {time.patterns[1]} is possible too"
-        lines.add({"time": column, "time_format": time.patterns[0]}, time.why + also, sure=sure)
-        if not time.zoned:
-            lines.notes.append(
-                'its times have no time zone; time_zone, for example "Europe/Rome", aligns them with other logs'
-            )
-    else:
-        split = len(time.columns) > 1
-        sure = time.sure and (split or len(time.units) == 1)
-        unit: object = list(time.units) if split else time.units[0]
-        keys = {"time": column} | ({"clock": "epoch"} if time.epoch else {}) | {"time_unit": unit}
-        lines.add(keys, time.why, sure=sure)
-    others = dict.fromkeys(name for other in times[1:] for name in other.columns if name not in time.columns)
+    keys, sure, notes = times[0].keys()
+    lines.add(keys, times[0].comment, sure=sure)
+    lines.notes += notes
+    others = dict.fromkeys(name for other in times[1:] for name in other.columns if name not in times[0].columns)
     if others:
         lines.notes.append(f"also a time: {', '.join(others)}")
-
-
-def _decided(time: FoundTime, table: DraftTable, path: NDArray[np.float64] | None) -> FoundTime:
-    """Return the time without units that imply too long intervals for the motion, or too high speeds."""
-    if len(time.columns) > 1 or len(time.units) < 2 or path is None:
-        return time
-    ticks = np.diff(table.numbers[time.columns[0]])
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    known = np.isfinite(steps) & (ticks > 0)
-    span = float(np.nanmax(np.nanmax(path, axis=0) - np.nanmin(path, axis=0))) if np.isfinite(path).any() else 0.0
-    moved = known & (steps > 0)
-    if span < _MOVES or not moved.any():
-        return time
-    dense = float(np.median(steps[moved])) <= _DENSE * span
-    tick = float(np.median(ticks[known]))
-    units = [
-        unit
-        for unit in time.units
-        if float(np.quantile(steps[known] / (ticks[known] * SECONDS[unit]), 0.99)) <= _FASTEST
-        and not (dense and tick * SECONDS[unit] > 1.2)
-    ]
-    return replace(time, units=tuple(units)) if units else time
 
 
 def _add_place(lines: _Lines, found: _Findings) -> None:

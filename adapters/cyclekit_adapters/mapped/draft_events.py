@@ -15,12 +15,11 @@ from cyclekit_adapters.mapped.draft_names import name_of
 from cyclekit_adapters.mapped.draft_table import DELIMITERS, DraftTable, draft_lines
 from cyclekit_adapters.mapped.draft_times import found_times
 from cyclekit_adapters.text.text_layout import fields_of
+from cyclekit_adapters.times.proof import TimeEvidence, file_date
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-
-    from cyclekit_adapters.mapped.draft_times import FoundTime
 
 _MIN_ROWS, _MIN_SHARE, _HEADER_LINES = 10, 0.7, 50
 """Minimum number of rows; minimum share of rows that differ from the one before; last line searched for names."""
@@ -36,7 +35,7 @@ def event_draft(path: Path) -> Draft | None:
     table = _table(path)
     if table is None:
         return None
-    times = found_times(table, {name: name_of(name) for name in table.names})
+    times = found_times(table, {name: name_of(name) for name in table.names}, TimeEvidence(before_s=table.before_s))
     if not times:
         return None
     others = [name for name in table.names if name not in times[0].columns and any(table.cells[name])]
@@ -45,7 +44,9 @@ def event_draft(path: Path) -> Draft | None:
         return None
     share, signal, value = max(able, key=lambda found: (name_of(found[2]).says(_VALUES), found[0]))
     lines = [Proposal(key, value) for key, value in table.keys.items()]
-    notes = _add_time(lines, times[0])
+    keys, sure, notes = times[0].keys()
+    last = list(keys)[-1]
+    lines += [Proposal(key, value, times[0].comment if key == last else "", sure) for key, value in keys.items()]
     lines.append(Proposal("signal", signal[0] if len(signal) == 1 else list(signal)))
     why = f"{100 * share:.0f} % of the rows differ from the one before of the same signal: a row per change"
     lines.append(Proposal("value", value, why))
@@ -71,7 +72,8 @@ def _table(path: Path) -> DraftTable | None:
             if named and len(fits) >= max(_MIN_ROWS, 0.9 * len(body)):
                 cells = {name: [row[place] for row in fits] for place, name in enumerate(names)}
                 skipped = {"skip_rows": at} if at else {}
-                return DraftTable(tuple(names), cells, keys={**keys, "delimiter": word, **skipped})
+                keys = {**keys, "delimiter": word, **skipped}
+                return DraftTable(tuple(names), cells, keys=keys, before_s=file_date(path))
     return None
 
 
@@ -108,20 +110,3 @@ def _share(table: DraftTable, value: str, signal: tuple[str, ...]) -> float:
 
 def _names(table: DraftTable, signal: tuple[str, ...]) -> list[str]:
     return [SIGNAL_JOIN.join(cells) for cells in zip(*(table.cells[name] for name in signal), strict=True)]
-
-
-def _add_time(lines: list[Proposal], time: FoundTime) -> list[str]:
-    """Add the lines of the time; return what to say of it."""
-    sure = time.sure and (len(time.patterns) == 1 or (not time.patterns and len(time.units) == len(time.columns)))
-    column = time.columns[0] if len(time.columns) == 1 else list(time.columns)
-    lines.append(Proposal("time", column, "", sure))
-    if not time.patterns:
-        unit = time.units[0] if len(time.columns) == 1 else list(time.units)
-        lines.append(Proposal("time_unit", unit, time.why, sure))
-        if time.epoch:
-            lines.append(Proposal("clock", "epoch", "", sure))
-        return []
-    also = "" if len(time.patterns) == 1 else f"; {time.patterns[1]} is possible too"
-    lines.append(Proposal("time_format", time.patterns[0], time.why + also, sure))
-    zone = 'its times have no time zone; time_zone, for example "Europe/Rome", aligns them with other logs'
-    return [] if time.zoned else [zone]

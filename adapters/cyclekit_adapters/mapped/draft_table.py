@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from cyclekit_adapters.text.list_cells import parts_of
 from cyclekit_adapters.text.text_blocks import begins_in_windows, file_encoding, head_lines
 from cyclekit_adapters.text.text_layout import fields_of, unique
 from cyclekit_adapters.text.text_rows import UNKNOWN
+from cyclekit_adapters.times.proof import file_date
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,6 +50,7 @@ class DraftTable:
         comma: Numbers have a decimal comma.
         headed: The table has a line of names.
         in_lists: Columns that are numbers of a list in one cell.
+        before_s: Date of the file, s since 1970; None if unknown.
     """
 
     names: tuple[str, ...]
@@ -59,6 +61,7 @@ class DraftTable:
     comma: bool = False
     headed: bool = True
     in_lists: frozenset[str] = frozenset()
+    before_s: float | None = None
 
     @cached_property
     def numbers(self) -> dict[str, NDArray[np.float64]]:
@@ -82,7 +85,7 @@ def text_draft_table(path: Path) -> DraftTable | None:
     if not found:
         return None
     best = max(found, key=lambda rows: (rows.numbers, rows.mark != "\\s+"))
-    return _table(best, {**keys, "delimiter": DELIMITERS[best.mark]})
+    return replace(_table(best, {**keys, "delimiter": DELIMITERS[best.mark]}), before_s=file_date(path))
 
 
 def draft_lines(path: Path) -> tuple[list[str], dict[str, object]]:
@@ -107,7 +110,7 @@ def sheet_draft_table(path: Path) -> DraftTable | None:
         columns = workbook.cells(sheet, "string", count=LINES)
         found = _Rows("", rows_of(columns, 0, LINES, max(columns, default=-1) + 1))
         if found.width > 1 and found.body and found.numbers:
-            return _table(found, {"sheet": sheet} if number else {})
+            return replace(_table(found, {"sheet": sheet} if number else {}), before_s=file_date(path))
     return None
 
 

@@ -1,21 +1,20 @@
-"""Candidates for the time of an unknown table and its unit, from names, steps and magnitude.
+"""Candidates for the time of an unknown table, from the names and cells of its columns.
 
-A unit is certain if the name gives it, if a count since 1970 proves it, or if it alone gives a usual sampling interval.
-Otherwise all possible units are returned.
+The form of a time in text and the unit of a number are decided in `times`; here is which columns are times at all.
 """
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
-from cyclekit_adapters.mapped.csv_map import SECONDS
-from cyclekit_adapters.mapped.draft_names import COUNTS, OTHER, SET_POINT, TIME_UNITS, Name
-from cyclekit_adapters.text.written_time import EPOCH_S, written_seconds
+from cyclekit_adapters.mapped.draft_names import COUNTS, JOINT, OTHER, SET_POINT, TIME_UNITS, Name
+from cyclekit_adapters.times.proof import TimeEvidence, prove
+from cyclekit_adapters.times.units import COUNTED, EARLIEST_S, LATEST_S, unit_in_name, unit_named
+from cyclekit_adapters.times.written_time import forms_of, is_dated, names_zone, written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,21 +22,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit_adapters.mapped.draft_table import DraftTable
+    from cyclekit_adapters.times.units import Unit
 
     Vector = NDArray[np.float64]
 
-_STEP_S = (0.0002, 1.2)
-"""Range of sampling intervals of motion logs, s (5 kHz and slower)."""
-_SLOWER_S = 60.0
-_LIKELY_S = (5e-5, 600.0)
-_PATTERNS = (
-    "iso",
-    *(f"{date} {clock}" for date in ("%d.%m.%Y", "%Y/%m/%d", "%Y.%m.%d") for clock in ("%H:%M:%S%.f", "%H:%M:%S:%3f")),
-    *(f"{date} %H:%M:%S%.f" for date in ("%m/%d/%Y", "%d/%m/%Y")),
-    *(f"{date} %I:%M:%S%.f %p" for date in ("%m/%d/%Y", "%d/%m/%Y")),
-    *("%Y%m%d %H%M%S%.f", "%Y-%m-%d-%H:%M:%S%.f", "%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%H:%M:%S%.f"),
-)
-_ZONED = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _LOOKED_AT = 500
 
 
@@ -48,35 +36,78 @@ class FoundTime:
     Attributes:
         columns: One column, or date and time of day, or seconds and a fraction of a second.
         units: Unit of each numeric column; for a single column all possible units, the most likely first.
-        patterns: Possible formats of times in text, the most likely first; empty for numbers.
-        epoch: The times count since 1970.
+        patterns: Possible formats of times in text, the most likely first; empty for numbers, and if none is known.
         why: Evidence for it.
         sure: The column is certainly the time.
     """
 
     columns: tuple[str, ...]
-    units: tuple[str, ...] = ()
+    units: tuple[Unit, ...] = ()
     patterns: tuple[str, ...] = ()
-    epoch: bool = False
     zoned: bool = False
     why: str = ""
     sure: bool = True
 
     @property
+    def decided(self) -> bool:
+        """Whether its unit or format is known."""
+        return len(self.patterns) == 1 or (not self.patterns and len(self.units) == len(self.columns))
+
+    @property
     def rank(self) -> tuple[bool, bool, bool]:
         """Sort key: certain candidates with a known unit first, then certain ones, then those with a known unit."""
-        decided = len(self.patterns) == 1 or len(self.units) == len(self.columns)
-        return (self.sure and decided, self.sure, decided)
+        return (self.sure and self.decided, self.sure, self.decided)
+
+    def keys(self) -> tuple[dict[str, object], bool, list[str]]:
+        """Return the keys of the map, whether they are certain, and what to say of them."""
+        one = len(self.columns) == 1
+        keys: dict[str, object] = {"time": self.columns[0] if one else list(self.columns)}
+        if self.patterns:
+            keys["time_format"] = self.patterns[0]
+        elif self.units:
+            keys |= {"clock": "epoch"} if self.units[0].zero_s == 0.0 else {}
+            keys["time_unit"] = self.units[0].name if one else [unit.name for unit in self.units]
+        zone = 'its times have no time zone; time_zone, for example "Europe/Rome", aligns them with other logs'
+        local = (self.patterns and is_dated(self.patterns[0]) and not self.zoned) or (
+            self.units and self.units[0].local
+        )
+        return keys, self.sure and self.decided, [zone] if local else []
+
+    @property
+    def comment(self) -> str:
+        """The evidence, with the other possible formats."""
+        return "; ".join((self.why, *(f"{other} is possible too" for other in self.patterns[1:3])))
 
 
-def found_times(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
-    """Return the candidates for the time of a table, the best first."""
-    found = _split(table, names)
-    taken = {column for time in found for column in time.columns}
-    found += [one for name in names.values() if name.column not in taken and (one := _counted(table, name))]
-    found += _written(table, names)
-    if not found and not table.headed:
-        found += [one for column in table.numbers if (one := _by_steps_alone(table, column))]
+def found_times(table: DraftTable, names: Mapping[str, Name], motion: TimeEvidence) -> list[FoundTime]:
+    """Return the candidates for the time of a table, the best first.
+
+    Args:
+        table: The table.
+        names: Its parsed column names.
+        motion: What the other columns say of each of its times.
+    """
+    written = _written(table, names)
+    others = [(time.columns[0], _seconds(table, time), is_dated(time.patterns[0])) for time in written if time.decided]
+    split = _split(table, names)
+    taken = {column for time in (*split, *written) for column in time.columns}
+    counts = [name for name in names.values() if name.column not in taken and name.column in table.numbers]
+    counts = [name for name in counts if _rises(table.numbers[name.column])]
+    timed = [name for name in counts if _is_time(name)]
+    found = [*written, *split]
+    for name in sorted(timed, key=lambda name: _unit_of(table, name) is None):
+        found.append(_counted(table, name, replace(motion, others=others)))
+        if (unit := found[-1].units[:1]) and found[-1].decided:
+            others.append((name.column, table.numbers[name.column] * unit[0].seconds + (unit[0].zero_s or 0.0), False))
+    if not found:
+        unknown = [name for name in counts if _means_nothing_else(name)]
+        told = [_counted(table, name, motion) for name in unknown]
+        found = [replace(time, why=f"it rises in every row; {time.why}", sure=False) for time in told]
+        found += [
+            FoundTime((name.column,), why=f"{table.texts[name.column][0][:30]!r} is of no known form: time_format?")
+            for name in names.values()
+            if name.is_time and name.column in table.texts
+        ]
     return sorted(found, key=lambda time: tuple(not part for part in time.rank))
 
 
@@ -89,6 +120,21 @@ def counts_rows(table: DraftTable, names: Mapping[str, Name]) -> str | None:
     return None
 
 
+def _is_time(name: Name) -> bool:
+    named = name.is_time or (name.unit in TIME_UNITS and not name.words)
+    return named and not name.says(OTHER - {"min", "max"}) and not name.says(SET_POINT - {"d"})
+
+
+def _means_nothing_else(name: Name) -> bool:
+    return not (name.axis or name.says(OTHER | SET_POINT | COUNTS | JOINT) or "unnamed" in name.words)
+
+
+def _unit_of(table: DraftTable, name: Name) -> Unit | None:
+    return unit_named(table.units.get(name.column, "").strip("[]() ")) or unit_in_name(
+        table.titles.get(name.column, name.column)
+    )
+
+
 def _split(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
     """Return pairs of a column of seconds and a column of fractions of a second with the same words."""
     found = []
@@ -99,61 +145,20 @@ def _split(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
             if part.unit not in ("ns", "us", "ms") or part.words != whole.words or part.column not in table.numbers:
                 continue
             seconds, rest = table.numbers[whole.column], table.numbers[part.column]
-            second = SECONDS[str(part.unit)]
-            within = bool((rest >= 0).all() and (rest * second < 1.0).all() and (seconds % 1 == 0).all())
-            if within and _rises(seconds + rest * second):
-                epoch = _is_epoch(seconds, "s")
-                units = ("s", str(part.unit))
-                found.append(FoundTime((whole.column, part.column), units, epoch=epoch, why="seconds and their parts"))
+            unit = COUNTED[str(part.unit)]
+            within = bool((rest >= 0).all() and (rest * unit.seconds < 1.0).all() and (seconds % 1 == 0).all())
+            if within and _rises(seconds + rest * unit.seconds):
+                dated = EARLIEST_S <= float(np.median(seconds)) <= LATEST_S
+                first = COUNTED["s"].since_1970() if dated else COUNTED["s"]
+                found.append(FoundTime((whole.column, part.column), (first, unit), why="seconds and their parts"))
     return found
 
 
-def _counted(table: DraftTable, name: Name) -> FoundTime | None:
-    """Return a rising numeric column whose name means a time."""
-    values = table.numbers.get(name.column)
-    if values is None or not _rises(values):
-        return None
-    named = name.is_time or (name.unit in TIME_UNITS and not name.words)
-    if not named or name.says(OTHER) or name.says(SET_POINT - {"d"}):
-        return None
-    unit = name.unit if name.unit in TIME_UNITS else None
-    units, epoch, why = _units(values, unit)
-    agree = unit is None or units == (unit,)
-    return FoundTime((name.column,), units, epoch=epoch, why=why, sure=agree) if units else None
-
-
-def _by_steps_alone(table: DraftTable, column: str) -> FoundTime | None:
-    values = table.numbers[column]
-    if not _rises(values) or np.array_equal(values, np.floor(values)):
-        return None
-    units, epoch, why = _units(values, None)
-    return FoundTime((column,), units, epoch=epoch, why=f"{why}; it rises in every row", sure=False) if units else None
-
-
-def _units(values: Vector, unit: str | None) -> tuple[tuple[str, ...], bool, str]:
-    """Return the possible units, whether they count since 1970, and the evidence."""
-    steps = np.diff(values[np.isfinite(values)])
-    step = float(np.median(steps[steps > 0]))
-    if unit and _LIKELY_S[0] <= step * SECONDS[unit] <= _LIKELY_S[1]:
-        return (unit,), _is_epoch(values, unit), f"its name says {unit}; steps of {step:g} are {_shown(step, unit)}"
-    since = [unit for unit in SECONDS if _is_epoch(values, unit) and step * SECONDS[unit] <= _SLOWER_S]
-    if len(since) == 1:
-        return (since[0],), True, f"{since[0]} since 1970, by its size; steps of {_shown(step, since[0])}"
-    usual = [unit for unit in SECONDS if _STEP_S[0] <= step * SECONDS[unit] <= _STEP_S[1]]
-    slower = [unit for unit in SECONDS if _STEP_S[1] < step * SECONDS[unit] <= _SLOWER_S]
-    fits = [*usual, *slower, *([unit] if unit and unit not in (*usual, *slower) else [])]
-    likely = ", ".join(f"{_shown(step, unit)} if {unit}" for unit in fits)
-    return tuple(fits), False, f"steps of {step:g}: {likely}"
-
-
-def _shown(step: float, unit: str) -> str:
-    seconds = step * SECONDS[unit]
-    return f"{1000 * seconds:.4g} ms" if seconds < 1 else f"{seconds:.4g} s"
-
-
-def _is_epoch(values: Vector, unit: str) -> bool:
-    middle = float(np.nanmedian(values)) * SECONDS[unit]
-    return EPOCH_S[0] <= middle <= EPOCH_S[1]
+def _counted(table: DraftTable, name: Name, motion: TimeEvidence) -> FoundTime:
+    """Return a column of numbers as a time, with the units that it may have."""
+    column = table.titles.get(name.column, name.column)
+    proof = prove(table.numbers[name.column], replace(motion, column=column, named=_unit_of(table, name)))
+    return FoundTime((name.column,), proof.left, why=proof.contradiction or proof.why, sure=not proof.contradiction)
 
 
 def _rises(values: Vector) -> bool:
@@ -164,31 +169,30 @@ def _rises(values: Vector) -> bool:
 
 
 def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
-    """Return columns of times in text: single ones, or a date with a time of day."""
-    clocks = [name for name in names.values() if name.column in table.texts and name.is_time]
-    found = [time for name in clocks if (time := _patterned(table, (name.column,)))]
-    dates = [name for name in clocks if name.says({"date", "datum"})]
-    for date in dates:
-        for clock in clocks:
-            if clock is not date and (both := _patterned(table, (date.column, clock.column))):
-                found.insert(0, both)
-    return found
+    """Return columns of times in text, whatever their names: single ones, or a date with a time of day."""
+    texts = [name for name in names.values() if name.column in table.texts]
+    clocks = [name for name in texts if any(":" in cell for cell in table.texts[name.column][:5])]
+    dates = [name for name in texts if name.says({"date", "datum"}) and name not in clocks]
+    found = [time for date in dates for clock in clocks if (time := _patterned(table, (date.column, clock.column)))]
+    found += [time for name in clocks if (time := _patterned(table, (name.column,)))]
+    named = {name.column for name in texts if name.is_time}
+    return sorted(found, key=lambda time: (len(time.columns) == 1, time.columns[-1] not in named))
+
+
+def _texts(table: DraftTable, columns: tuple[str, ...]) -> list[str]:
+    rows = zip(*(table.cells[name] for name in columns), strict=True)
+    return [" ".join(cell.strip() for cell in cells).strip() for cells in rows]
 
 
 def _patterned(table: DraftTable, columns: tuple[str, ...]) -> FoundTime | None:
-    rows = zip(*(table.cells[name][:_LOOKED_AT] for name in columns), strict=True)
-    samples = [text for cells in rows if (text := " ".join(cell.strip() for cell in cells).strip())]
-    if not samples:
-        return None
-    frame = pl.DataFrame({"text": [text.replace(",", ".") for text in samples]})
-    zoned = all(_ZONED.search(text) for text in samples)
-    fits = []
-    for pattern in _PATTERNS:
-        when = frame.select(written_seconds(pl.col("text"), pattern, None, zoned=zoned and pattern == "iso"))
-        if when.to_series().null_count() <= 0.02 * len(samples):
-            fits.append(pattern)
-    if not fits:
-        return None
-    dated = fits[0] != "%H:%M:%S%.f"
-    why = f"written as {samples[0][:30]!r}"
-    return FoundTime(columns, patterns=tuple(fits), epoch=zoned and dated, zoned=zoned, why=why)
+    sample = [text for text in _texts(table, columns)[:_LOOKED_AT] if text]
+    forms = forms_of(sample)
+    zoned = 2 * sum(map(names_zone, sample)) > len(sample)
+    return FoundTime(columns, patterns=forms, zoned=zoned, why=f"written as {sample[0][:30]!r}") if forms else None
+
+
+def _seconds(table: DraftTable, time: FoundTime) -> Vector:
+    """Return the seconds of a time in text, shape (N,); NaN where it is in another form."""
+    frame = pl.DataFrame({"text": _texts(table, time.columns)})
+    when = frame.select(written_seconds(pl.col("text"), time.patterns[0], None)).to_series()
+    return when.cast(pl.Float64).fill_null(float("nan")).to_numpy()

@@ -1,91 +1,139 @@
-"""Times of a mapped table in seconds: numbers with a unit, frame counts, or dates and times of day in text.
+"""Times of a mapped table: how the columns that the map names count or write them.
 
-Nothing is guessed, but settings that the first rows contradict are refused. `mapped_csv` interprets the other columns.
+Nothing is guessed: a unit that the map does not give is the one that the column's name says, that is proven, or
+seconds, the default; settings that the first rows contradict are refused. `mapped_csv` interprets the other columns.
 """
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
-from cyclekit_adapters.mapped.csv_map import EXCEL, FRAME, SECONDS, CsvMap
-from cyclekit_adapters.text.delimited import INDEX, TextRows
-from cyclekit_adapters.text.written_time import EPOCH_S, excel_seconds, written_seconds
+from cyclekit_adapters.mapped.csv_map import METRES, CsvMap
+from cyclekit_adapters.times.proof import TimeEvidence, contradicted, dated_unit, file_date, prove
+from cyclekit_adapters.times.row_times import T_S, TimeColumn
+from cyclekit_adapters.times.units import COUNTED, EARLIEST_S, FRAME, LATEST_S, Unit, unit_in_name, unit_named
+from cyclekit_adapters.times.written_time import forms_of, is_dated, names_zone, written_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cyclekit_adapters.text.repeated_hour import RepeatedHour
+    from cyclekit.adapter import Role
+    from cyclekit_adapters.times.proof import Vector
 
-T_S = "\x1ft_s"  # a name that no column of a file has
-_JOINED = "\x1fwhen"
-_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
-
-
-def name_their_zone(first_rows: Sequence[Sequence[str]], names: Sequence[str], mapping: CsvMap) -> bool:
-    """Return whether the times in text, judged by the first rows, name their time zone."""
-    pattern = mapping.time_format or ""
-    if pattern != "iso":
-        return "%z" in pattern or "%+" in pattern or "%:z" in pattern
-    rows = [dict(zip(names, cells, strict=False)) for cells in first_rows]
-    times = [" ".join(row.get(name, "").strip() for name in mapping.time).strip() for row in rows]
-    zoned = [_ZONE.search(time) is not None for time in times if ":" in time]
-    return 2 * sum(zoned) > len(zoned)
+_FEW = 10
+"""Number of rows below which seconds, the default, are not doubted; twice of it changes no test."""
 
 
-def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
+def mapped_times(
+    path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]], rate_hz: float | None, role: Role
+) -> TimeColumn:
+    """Return how the times of a table are read.
+
+    Args:
+        path: The log.
+        mapping: Its map.
+        cells: Cells of the first rows, by column.
+        rate_hz: Rate of its rows or frames.
+        role: What it describes.
+
+    Raises:
+        LogError: The first rows contradict the unit, or none is given and "s" does not fit.
+    """
+    if mapping.time_format is not None:
+        first = [" ".join(row).strip() for row in zip(*(cells.get(name, ()) for name in mapping.time), strict=False)]
+        written = [text for text in first if ":" in text]
+        zoned = "%z" in mapping.time_format or "%+" in mapping.time_format or "%:z" in mapping.time_format
+        zoned = zoned or (mapping.time_format == "iso" and 2 * sum(map(names_zone, written)) > len(written))
+        why = f"written as {mapping.time_format!r}"
+        return TimeColumn(mapping.time, mapping.time_format, why=why, zoned=zoned)
+    if not mapping.time:
+        return TimeColumn((), why="row number / rate_hz")
+    if FRAME in mapping.time_unit:
+        return TimeColumn(mapping.time, "", (Unit(FRAME, 1.0 / (rate_hz or 1.0)),), f"frames at {rate_hz:g} Hz")
+    units = tuple(unit for text in mapping.time_unit if (unit := unit_named(text)))
+    why = ", ".join(unit.said for unit in units) + ", from the cell file"
+    if len(mapping.time) == 1:
+        units, why = _of_one(path, mapping, cells, units, role)
+    if mapping.clock == "epoch" and units[0].zero_s is None:
+        units = (units[0].since_1970(), *units[1:])
+    return TimeColumn(mapping.time, "", units, why)
+
+
+def _of_one(
+    path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]], given: tuple[Unit, ...], role: Role
+) -> tuple[tuple[Unit, ...], str]:
+    """Return the unit of a single column of numbers, and the evidence for it."""
+    column = mapping.time[0]
+    values, others = _numbers(cells.get(column, ()), mapping), _other_times(cells, mapping)
+    if given and len(values):
+        if (reason := contradicted(given[0], values, others)) is not None:
+            cause = f'time_unit = "{given[0].name}" for column {column!r}, but {reason}'
+            left = prove(values, TimeEvidence(column, others=others, before_s=file_date(path))).left
+            names = " or ".join(f'"{unit.name}"' for unit in left)
+            raise LogError(path, cause, cure=f"It fits {names}." if left else "Check which column is the time.")
+        return given, f"{given[0].said}, from the cell file"
+    if given or not len(values):
+        return given or (COUNTED["s"],), "s, the default"
+    named, path_m = unit_in_name(column), _path(cells, mapping)
+    of = role if role in ("robot", "people") and path_m is not None and len(path_m) == len(values) else None
+    evidence = TimeEvidence(column, named, others, path_m if of else None, of, file_date(path))
+    proof = prove(values, evidence)
+    seconds = [unit for unit in proof.left if unit.name == "s" and unit.zero_s is None]
+    if proof.unit and (named or proof.unit.zero_s is not None or others):
+        return (proof.unit,), proof.why
+    if seconds or len(values) < _FEW:
+        return (COUNTED["s"],), "s, the default"
+    cure = 'Give it in [sources.map] of the cell file: time_unit = "ms", for example.'
+    cause = f"no time_unit is given for column {column!r}, and the default, s, does not fit: {proof.question}"
+    raise LogError(path, cause, cure=cure)
+
+
+def _numbers(cells: Sequence[str], mapping: CsvMap) -> Vector:
+    """Return cells as numbers, shape (N,); NaN where they are none."""
+    text = pl.Series("cells", list(cells), pl.String).str.strip_chars()
+    plain = text.str.replace(",", ".", literal=True) if mapping.decimal == "," else text
+    return plain.cast(pl.Float64, strict=False).fill_null(float("nan")).to_numpy()
+
+
+def _other_times(cells: Mapping[str, Sequence[str]], mapping: CsvMap) -> list[tuple[str, Vector, bool]]:
+    """Return the times written as text in columns that the map does not use for the time."""
+    found = []
+    for name, texts in cells.items():
+        sample = [text.strip() for text in texts if text.strip()]
+        if name in mapping.time or not sample or ":" not in sample[0]:
+            continue
+        if len(forms := forms_of(sample)) == 1:
+            frame = pl.DataFrame({"text": list(texts)}, schema={"text": pl.String})
+            when = frame.select(written_seconds(pl.col("text"), forms[0], None)).to_series()
+            seconds = when.cast(pl.Float64).fill_null(float("nan")).to_numpy()
+            found.append((name, seconds, is_dated(forms[0])))
+    return found
+
+
+def _path(cells: Mapping[str, Sequence[str]], mapping: CsvMap) -> Vector | None:
+    """Return the positions of the first rows, shape (N, D), m; None if none are mapped, or of several persons."""
+    columns = [cells[name] for name in mapping.places().values() if name in cells]
+    if len(columns) < 2 or mapping.person:
+        return None
+    return np.stack([_numbers(column, mapping) for column in columns], axis=1) * METRES[mapping.length_unit]
+
+
+def require_epoch(path: Path, frame: pl.DataFrame, times: TimeColumn) -> None:
     """Refuse times that do not count from 1970 although clock = "epoch", mostly because of a wrong unit.
 
     Raises:
         LogError: The median of the times in `frame` is not within the years 2000 to 2099.
     """
     middle = frame[T_S].drop_nulls().sort()[len(frame) // 2 :].to_list()[:1]
-    if not middle or EPOCH_S[0] <= middle[0] <= EPOCH_S[1]:
+    if not middle or EARLIEST_S <= middle[0] <= LATEST_S:
         return
-    unit = " and ".join(map(repr, mapping.time_unit))
-    setting = f"time_format is {mapping.time_format!r}" if mapping.time_format else f"time_unit is {unit}"
-    cause = f'clock = "epoch", but {middle[0]:.10g} s is not in the years 2000 to 2099; {setting}'
-    cure = 'Give another time_unit or time_format, or clock = "uptime" or "relative".'
+    cause = f'clock = "epoch", but {middle[0]:.10g} s is not in the years 2000 to 2099 (time: {times.why})'
+    fits = dated_unit(middle[0] / times.units[0].seconds, file_date(path)) if len(times.units) == 1 else None
+    cure = f'It is a date in time_unit = "{fits.name}", {fits.about}. ' if fits else ""
+    cure += 'Give another time_unit or time_format, or clock = "uptime" or "relative".'
     raise LogError(path, cause, cure=cure)
-
-
-def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, hour: RepeatedHour, *, zoned: bool) -> TextRows:
-    """Add the time in seconds as column T_S, in the zone of `hour`; a row with an unreadable time is set aside."""
-    frame = rows.frame
-    if not mapping.time:
-        return replace(rows, frame=frame.with_columns((pl.col(INDEX) / cast("float", rate_hz)).alias(T_S)))
-    if mapping.time_unit == (EXCEL,):
-        frame = frame.with_columns(excel_seconds(pl.col(mapping.time[0]), mapping.time_zone).alias(T_S))
-        return replace(rows, frame=frame).without(frame[T_S].is_null(), "its time is no day number of a spreadsheet")
-    if mapping.time_format is None:
-        return _counted(rows, mapping, rate_hz)
-    text = pl.concat_str(mapping.time, separator=" ")
-    plain = text if "," in str(mapping.time_format) else text.str.replace_all(",", ".", literal=True)  # 10:00:00,250
-    when = written_seconds(plain, str(mapping.time_format), hour.zone, zoned=zoned)
-    frame = frame.with_columns(text.alias(_JOINED), when.alias(T_S))
-    rows = replace(rows, frame=frame)
-    bad = frame[T_S].is_null()
-    if bad.any():
-        first = frame.filter(bad)[_JOINED][0]
-        pattern = mapping.time_format
-        rows = rows.without(bad, f"its time does not match {pattern!r} (the first: {str(first)[:40]!r})")
-    return replace(rows, frame=rows.frame.drop(_JOINED).with_columns(hour.in_order(rows.frame[T_S])))
-
-
-def _counted(rows: TextRows, mapping: CsvMap, rate_hz: float | None) -> TextRows:
-    """Add the time from numbers: of one column, or the sum of its parts."""
-    first, *smaller = [
-        (name, 1.0 / cast("float", rate_hz) if unit == FRAME else SECONDS[unit])
-        for name, unit in zip(mapping.time, mapping.time_unit, strict=True)
-    ]
-    for name, second in smaller:  # a part longer than the larger unit belongs to another clock
-        part = rows.frame[name] * second
-        reason = f"its part {name!r} of the time is not between 0 and one {mapping.time_unit[0]} of {first[0]!r}"
-        rows = rows.without((part < 0.0) | (part >= first[1]), reason)
-    time = pl.sum_horizontal(pl.col(name) * second for name, second in (first, *smaller))
-    return replace(rows, frame=rows.frame.with_columns(time.alias(T_S)))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit_adapters.text.repeated_hour import newest_first
+from cyclekit_adapters.times.local_clock import newest_first
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import polars as pl
 
 from cyclekit.schema import STAMPS, conform
-from cyclekit_adapters.text.repeated_hour import RepeatedHour
+from cyclekit_adapters.times.local_clock import LocalClock
 
 _EPOCH_S = 1e8  # s; a smaller number is not a time since 1970
 _GAP_CYCLES = 2.5
@@ -36,13 +36,13 @@ class HostClock:
     zone: str | None
     read: int = 0
     unread: int = 0
-    hour: RepeatedHour = field(init=False)
+    hour: LocalClock = field(init=False)
     _last: tuple[float, float] | None = None
     _cycle_s: float | None = None
     _tells: bool | None = None
 
     def __post_init__(self) -> None:
-        self.hour = RepeatedHour(self.zone)
+        self.hour = LocalClock(self.zone)
 
     def stamps(self, t_s: pl.Series, text: pl.Series) -> pl.DataFrame | None:
         """Return table STAMPS of the next rows; always None if no zone is given and the first block holds no host time.

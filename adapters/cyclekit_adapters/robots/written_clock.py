@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Literal
 
 import polars as pl
 
-from cyclekit_adapters.text.written_time import EPOCH_S, written_seconds
+from cyclekit_adapters.times.coarse_stamps import share_stamps
+from cyclekit_adapters.times.proof import dated_unit
+from cyclekit_adapters.times.units import COUNTED, Unit
+from cyclekit_adapters.times.written_time import written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +25,6 @@ if TYPE_CHECKING:
 _DATED = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 _ZONED = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 _NUMBER = re.compile(r"\d+(\.\d*)?([eE]\+?\d+)?")
-_UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -34,14 +36,16 @@ class WrittenClock:
         kind: `epoch` for PC time, `relative` for PC time without a zone, `uptime` for controller time.
         is_text: The times are texts of date and time of day.
         zone: Time zone of texts that name none.
-        second: Unit of numbers, s.
+        unit: Unit of numbers.
+        coarse: Neighbouring rows share the PC's time.
     """
 
     column: str
     kind: Literal["epoch", "relative", "uptime"]
     is_text: bool = False
     zone: str | None = None
-    second: float = 1.0
+    unit: Unit = COUNTED["s"]
+    coarse: bool = False
 
     @classmethod
     def from_cells(cls, cells: Sequence[str], column: str, zone: str | None) -> WrittenClock:
@@ -49,20 +53,25 @@ class WrittenClock:
         written = [cell for cell in cells if _DATED.match(cell)]
         if 2 * len(written) > len(cells):
             zoned = zone is not None or all(_ZONED.search(cell) for cell in written)
-            return cls(column, "epoch" if zoned else "relative", is_text=True, zone=zone)
+            return cls(column, "epoch" if zoned else "relative", is_text=True, zone=zone, coarse=share_stamps(cells))
         pointed = [cell.replace(",", ".") for cell in cells]
         numbers = sorted(float(cell) for cell in pointed if _NUMBER.fullmatch(cell))
         middle = numbers[len(numbers) // 2] if numbers else 0.0
-        for second in _UNITS_S:
-            if EPOCH_S[0] <= middle * second <= EPOCH_S[1]:  # no controller has an uptime of thirty years
-                return cls(column, "epoch", second=second)
+        if unit := dated_unit(middle):  # no controller has an uptime of thirty years
+            return cls(
+                column,
+                "epoch" if zone or not unit.local else "relative",
+                zone=zone,
+                unit=unit,
+                coarse=share_stamps(cells),
+            )
         return cls(column, "uptime")
 
     def seconds(self, rows: TextRows) -> TextRows:
         """Return the rows with times in seconds; rows with an unreadable time are set aside."""
         if not self.is_text:
-            same = self.second == 1.0
-            return rows if same else replace(rows, frame=rows.frame.with_columns(pl.col(self.column) * self.second))
+            seconds = self.unit.to_seconds(pl.col(self.column), self.zone).alias(self.column)
+            return replace(rows, frame=rows.frame.with_columns(seconds))
         text = pl.col(self.column).str.strip_chars('"')
         zoned = self.kind == "epoch" and self.zone is None
         when = rows.frame.select(written_seconds(text, "iso", self.zone, zoned=zoned))[self.column]

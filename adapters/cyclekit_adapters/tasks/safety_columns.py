@@ -90,7 +90,7 @@ def _is_index(name: str, stem: str) -> bool:
 
 
 def _stem(name: str) -> str:
-    return stem_of(name, TIME_NAMES)[0]
+    return stem_of(name, TIME_NAMES)
 
 
 def _metres(distances: Sequence[str]) -> float:

@@ -11,14 +11,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
-from cyclekit_adapters.tasks.event_table import UNITS, stem_of
-from cyclekit_adapters.text.written_time import checked_zone
+from cyclekit_adapters.tasks.event_table import stem_of
+from cyclekit_adapters.times.units import checked_unit
+from cyclekit_adapters.times.written_time import checked_zone
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from cyclekit.adapter import ReadOptions
+    from cyclekit_adapters.times.units import Unit
 
 WHERE = "[sources.map] of a task list"
 NAMES: Mapping[str, tuple[str, ...]] = {
@@ -68,7 +70,7 @@ class Settings:
     columns: Mapping[str, str] = field(default_factory=dict)
     robot: tuple[str, ...] = ()
     operator: tuple[str, ...] = ()
-    unit: str | None = None
+    unit: Unit | None = None
     zone: str | None = None
 
 
@@ -90,9 +92,8 @@ def settings_of(options: ReadOptions) -> Settings:
         raise ConfigError(f"{WHERE}: {both[0]!r} is in robot and in operator", cure="Keep it in one of them.")
     texts = {key: _text(key, options.map[key]) for key in (*NAMES, "time_unit", "time_zone") if key in options.map}
     unit, zone = texts.pop("time_unit", None), texts.pop("time_zone", None)
-    if unit is not None and unit not in UNITS:
-        raise UnknownName(WHERE, "time_unit", unit, UNITS)
-    return Settings(texts, lists["robot"], lists["operator"], unit, checked_zone(zone, WHERE))
+    stated = None if unit is None else checked_unit(unit, WHERE)
+    return Settings(texts, lists["robot"], lists["operator"], stated, checked_zone(zone, WHERE))
 
 
 def _names(key: str, value: object) -> tuple[str, ...]:
@@ -117,7 +118,7 @@ def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> 
     found = dict(given or {})
     stems: dict[str, str] = {}
     for name in names:
-        stems.setdefault(stem_of(name, _TIME_NAMES)[0], name)
+        stems.setdefault(stem_of(name, _TIME_NAMES), name)
     taken = set(found.values())
     for key, usual in NAMES.items():
         column = next((stems[word] for word in usual if word in stems and stems[word] not in taken), None)
@@ -132,11 +133,6 @@ def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> 
 def missing_in(found: Mapping[str, str]) -> list[str]:
     """Return the fields of NEEDED that have no column."""
     return [key for key in NEEDED if key not in found and not (key == "end" and "duration" in found)]
-
-
-def unit_of(name: str) -> str | None:
-    """Return the unit in the name of a time column: `start [ms]`."""
-    return stem_of(name, _TIME_NAMES)[1]
 
 
 def is_task_list(names: Sequence[str]) -> bool:

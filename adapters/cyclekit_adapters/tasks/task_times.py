@@ -13,10 +13,12 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
-from cyclekit_adapters.tasks.event_table import UNITS, TimeColumn, counted_in, times_of
 from cyclekit_adapters.tasks.repeated_names import named_apart, named_apart_by_others, paused
-from cyclekit_adapters.tasks.task_columns import TIMES, unit_of
-from cyclekit_adapters.text.written_time import written_seconds
+from cyclekit_adapters.tasks.task_columns import TIMES
+from cyclekit_adapters.times.proof import TimeEvidence, file_date, no_duration
+from cyclekit_adapters.times.row_times import TimeColumn, require_known, time_column
+from cyclekit_adapters.times.units import COUNTED, unit_in_name
+from cyclekit_adapters.times.written_time import is_dated, written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import ClockKind
     from cyclekit_adapters.tasks.task_columns import Settings
+    from cyclekit_adapters.times.units import Unit
 
 _FIRST = 200
 _NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
@@ -32,6 +35,15 @@ _ZONED = r"(?:Z|[+-]\d{2}:?\d{2})$"
 UNNAMED = "execution"
 """Name of executions that only their plans tell apart."""
 _PLAN = ("planned_start", "planned_end")
+_WRITTEN_IN = ("ns", "us", "ms", "s", "min", "h")
+"""Units in which durations are written."""
+_TIGHT = 0.02
+"""Relative difference to which a task ends at the next start. Units differ by 60 or more, so half and twice of it only
+say how much idle time is none."""
+_ZERO = 1e-6
+"""A planned time below it is zero in any unit; planners round worse."""
+_OFF_PLAN = 3.0
+"""Factor by which tasks may be off their plan, or overlap; units that are told apart differ by ten."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +100,9 @@ def with_seconds(
     cells = cells.with_columns(
         _seconds(key, times, settings.zone, decimal_comma) for key, times in read.items() if key in _PLAN
     )
-    zoned = start.clock == "epoch" or (settings.zone is not None and _dated(start))
-    plan = _plan_counts_from(cells, {key: _epoch(read[key], settings) for key in _PLAN if key in read}, zoned=zoned)
+    zoned = start.clock(settings.zone) == "epoch"
+    epochs = {key: read[key].clock(settings.zone) == "epoch" for key in _PLAN if key in read}
+    plan = _plan_counts_from(cells, epochs, zoned=zoned)
     repeated: list[str] = []
     if "execution" in cells.columns and not (plan == "execution" and "planned_start" in read):
         cells, repeated = named_apart_by_others(cells)
@@ -105,8 +118,7 @@ def with_seconds(
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
     if "execution" in cells.columns:
         repeated += paused(cells)
-    lacks = "have no time zone: give time_zone to align them" if _dated(start) else "have no date and cannot be aligned"
-    warnings = repeated if zoned or not start.pattern else [*repeated, f"its times {lacks} with other logs"]
+    warnings = [*repeated, *start.warnings(settings.zone)]
     facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}
     if plan is not None:
         facts["plan counts from"] = "the start of each execution" if plan == "execution" else "the zero of the log"
@@ -134,28 +146,21 @@ def _times(
         if start is None:
             raise LogError(path, f"no row has a start (column {name!r})", cure="Record again, or remove the file.")
         return replace(start, columns=(name,), why="empty")
-    unit, first = unit_of(name), sample[0]
-    times = times_of((name,), sample, unit, decimal_comma=decimal_comma)
-    if times is None:  # some cells are garbled: their rows are checked one by one later
-        count = len(sample)
-        sample = [text for text in sample if times_of((name,), [text], unit, decimal_comma=decimal_comma)]
-        if 2 * len(sample) >= count:
-            times = times_of((name,), sample, unit, decimal_comma=decimal_comma)
+    named = unit_in_name(name)
+    stated = settings.unit if key != "duration" or named is None else None  # a duration may have a unit of its own
+    evidence = TimeEvidence(name, named, before_s=file_date(path), lasts=_lasts(cells, key, decimal_comma))
+    times = time_column((name,), sample, evidence, unit=stated, decimal_comma=decimal_comma)
     if times is None:
-        cause = f"the times of column {name!r} ({first[:40]!r}) are neither numbers nor dates in a known format"
+        cause = f"the times of column {name!r} ({sample[0][:40]!r}) are neither numbers nor dates in a known format"
         raise LogError(path, cause, cure="Write them as ISO 8601, 2024-05-01T10:00:00+02:00, or as seconds.")
-    if settings.unit is not None and not times.pattern and not (key == "duration" and unit):
-        numbers = [float(text.replace(",", ".") if decimal_comma else text) for text in sample]
-        times = counted_in((name,), settings.unit, "from the cell file", numbers, sample[0])
-    if times.seconds is None and key in _PLAN and start is not None and (start.pattern or start.clock == "epoch"):
+    if key == "duration" and not stated and not times.pattern:
+        times = _by_next_start(path, times, named, cells)
+    if not times.known and key in _PLAN and start is not None and (start.pattern or start.clock(None) == "epoch"):
         times = _by_size(times, cells, key)
-    if times.seconds is None and key == "duration":
-        times = _by_next_start(times, cells)
-    if times.seconds is None and start is not None and not start.pattern and start.seconds is not None:
-        times = replace(times, seconds=start.seconds, why=f"in the unit of {start.columns[0]}")
-    if times.seconds is None:
-        cause = f"the times of column {name!r} ({sample[0][:40]!r}) are ambiguous: {times.why}"
-        raise LogError(path, cause, cure='Give time_unit = "s" (ms, us, ns) in [sources.map].')
+    if not times.known and start is not None and not start.pattern and start.units:
+        unit = start.units[0]._replace(zero_s=None, local=False)
+        times = replace(times, units=(unit,), why=f"in the unit of {start.columns[0]}")
+    require_known(path, times)
     if _zone_named(times) is False and cells[key].str.contains(_ZONED).any():
         cause = f"some times of column {name!r} name their time zone and some do not"
         if settings.zone is None:
@@ -163,53 +168,80 @@ def _times(
     return times
 
 
+def _lasts(cells: pl.DataFrame, key: str, decimal_comma: bool) -> list[float]:
+    """Return the ends of tasks less their starts, for numbers of one unit; empty for others and for other times."""
+    if key not in ("start", "end") or "end" not in cells.columns:
+        return []
+    start, end = (_numbers(cells, name, decimal_comma) for name in ("start", "end"))
+    far = float((end / start).median() or 0.0)  # type: ignore[arg-type]  # a number
+    return (end - start).drop_nulls().to_list() if far < _OFF_PLAN else []  # else they count in two units, or from zero
+
+
+def _numbers(cells: pl.DataFrame, key: str, decimal_comma: bool) -> pl.Series:
+    """Return cells as numbers, null where they are none."""
+    text = pl.col(key).str.replace(",", ".", literal=True) if decimal_comma else pl.col(key)
+    return cells.select(text.cast(pl.Float64, strict=False).alias("number")).to_series()
+
+
 def _by_size(times: TimeColumn, cells: pl.DataFrame, key: str) -> TimeColumn:
-    """Return planned times in the unit that best fits the actual times, both from the start of an execution."""
-    by = "execution" if "execution" in cells.columns else pl.lit(0)
-    done = pl.col("start_s" if key == "planned_start" else "end_s") - pl.col("start_s").min().over(by)
-    planned = pl.col(key).cast(pl.Float64, strict=False)
-    both = cells.select(done=done, planned=planned).filter((pl.col("done") > 0.0) & (pl.col("planned") > 0.0))
-    if both.is_empty():
-        return times
-    ratio = float(np.log((both["done"] / both["planned"]).median()))  # type: ignore[arg-type]  # a number
-    unit = min(UNITS, key=lambda name: abs(ratio - np.log(UNITS[name])))
-    return replace(times, seconds=UNITS[unit], why=f"{unit}: by what was done")
+    """Return planned times in the unit in which they run, from task to task, as the actual times."""
+    planned = cells.select(pl.col(key).cast(pl.Float64, strict=False)).to_series()
+    if (planned.abs().max() or 0.0) < _ZERO:  # type: ignore[operator]  # a number
+        return replace(times, units=(COUNTED["s"],), why="all are 0")
+    done = cells["start_s" if key == "planned_start" else "end_s"]
+    both = pl.DataFrame({"done": done.diff(), "planned": planned.diff()}).filter(
+        (pl.col("done") > 0.0) & (pl.col("planned") > 0.0)
+    )
+    middle = float((both["done"] / both["planned"]).median() or 0.0)  # type: ignore[arg-type]  # a number
+    fits = [unit for unit in COUNTED.values() if 1.0 / _OFF_PLAN <= middle / unit.seconds <= _OFF_PLAN]
+    return replace(times, units=(fits[0],), why=f"{fits[0].name}: by what was done") if len(fits) == 1 else times
 
 
-def _by_next_start(times: TimeColumn, cells: pl.DataFrame) -> TimeColumn:
-    """Return durations in the unit that best fits the time from a start to the next start of the same agent."""
+def _by_next_start(path: Path, times: TimeColumn, named: Unit | None, cells: pl.DataFrame) -> TimeColumn:
+    """Return durations in the unit that their name says or the next starts of the same agent prove.
+
+    A task ends before the next start of its agent, and lists without idle time have it end there.
+
+    Raises:
+        LogError: The next starts contradict the unit in the name.
+    """
     by = ["agent", "execution"] if "execution" in cells.columns else ["agent"]
     until = (pl.col("start_s").shift(-1) - pl.col("start_s")).over(by)
     both = cells.sort("start_s").select(until=until, took=pl.col("duration").cast(pl.Float64, strict=False))
-    ratio = both.filter((pl.col("until") > 0.0) & (pl.col("took") > 0.0)).select(pl.col("until") / pl.col("took"))
-    if ratio.is_empty():
-        return times
-    middle = float(np.log(ratio.to_series().median()))  # type: ignore[arg-type]  # a number
-    unit = min(UNITS, key=lambda name: abs(middle - np.log(UNITS[name])))
-    return replace(times, seconds=UNITS[unit], why=f"{unit}: by the next starts")
+    both = both.filter((pl.col("until") > 0.0) & (pl.col("took") > 0.0))
+    took, ratio = cells["duration"].cast(pl.Float64, strict=False), (both["until"] / both["took"]).to_numpy()
+    if named is not None:
+        if len(ratio) and float(np.median(ratio)) < named.seconds / _OFF_PLAN:
+            cause = (
+                f"the name of column {times.columns[0]!r} says {named.name}, but then most tasks would last past the"
+            )
+            cause += f" next start of their agent, by {named.seconds / float(np.median(ratio)):.3g} times"
+            raise LogError(path, cause, cure="Correct the name, or the column that [sources.map] names for duration.")
+        return replace(times, units=(named,), why=f"its name says {named.name}")
+    lasts = took.drop_nulls().to_list()
+    units = [COUNTED[name] for name in _WRITTEN_IN if no_duration(COUNTED[name], lasts) is None]
+    units = [unit for unit in units if not len(ratio) or float(np.median(ratio)) >= unit.seconds * (1.0 - _TIGHT)]
+    tight = [unit for unit in units if len(ratio) and (np.abs(ratio / unit.seconds - 1.0) <= _TIGHT).mean() >= 0.5]
+    left = tight if len(tight) == 1 else units
+    if len(left) == 1:
+        how = "tasks end at the next starts" if tight else "no other unit fits the next starts"
+        return replace(times, units=tuple(left), why=f"{left[0].name}: {how}")
+    names = " or ".join(unit.name for unit in left) or "none"
+    return replace(times, units=(), why=f"the next starts fit {names}")
 
 
 def _zone_named(times: TimeColumn) -> bool | None:
     """Return whether dates name their time zone; None for other times."""
-    return times.clock == "epoch" if times.pattern and _dated(times) else None
-
-
-def _dated(times: TimeColumn) -> bool:
-    return "%d" in times.pattern or times.pattern == "iso"
-
-
-def _epoch(times: TimeColumn, settings: Settings) -> bool:
-    return times.clock == "epoch" or (settings.zone is not None and _dated(times))
+    return times.zoned if is_dated(times.pattern) else None
 
 
 def _seconds(key: str, times: TimeColumn, zone: str | None, decimal_comma: bool) -> pl.Expr:
     text = pl.col(key)
     if times.pattern:
-        plain = text.str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2").str.replace(",", ".", literal=True)
-        found = written_seconds(plain.str.replace(". ", " ", literal=True), times.pattern, zone)
+        found = written_seconds(text, times.pattern, zone)
     else:
         plain = text.str.replace(",", ".", literal=True) if decimal_comma else text
-        found = plain.cast(pl.Float64, strict=False) * times.seconds
+        found = times.units[0].to_seconds(plain.cast(pl.Float64, strict=False), zone)
     return pl.when(found.is_finite()).then(found).alias(f"{key}_s")
 
 

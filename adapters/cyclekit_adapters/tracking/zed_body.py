@@ -14,7 +14,7 @@ import numpy as np
 
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.text.json_parts import number, point, points
-from cyclekit_adapters.text.written_time import EPOCH_S
+from cyclekit_adapters.times.units import EARLIEST_S, LATEST_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -96,7 +96,7 @@ def seconds_of(stamp: object) -> tuple[float, ClockKind] | None:
     if value is None or not 0.0 <= value < 1e19:
         return None
     for scale in (1, 10**3, 10**6, 10**9):
-        if EPOCH_S[0] <= value / scale <= EPOCH_S[1]:
+        if EARLIEST_S <= value / scale <= LATEST_S:
             return (stamp if isinstance(stamp, int) else value) / scale, "epoch"
     return value / 10**9, "uptime"
 

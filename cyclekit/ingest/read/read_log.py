@@ -122,7 +122,7 @@ def _is_ours(error: BaseException, folder: Path) -> bool:
 def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, *, hold: bool) -> ReadLog:
     sources, options = digests.sources(log), options_of(log.source, skeletons=settings.skeletons)
     written: dict[str, _Table] = {}
-    aside, counts, rows_read = None, dict[str, int](), 0
+    aside, counts, rows_read, first_aside = None, dict[str, int](), 0, None
     last: Recording | None = None
     keep = log.source.sees_as if log.source else None
     nameless = Nameless(keep=keep, words=settings.words) if settings.pseudonymise else None
@@ -138,10 +138,11 @@ def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, 
             aside_now = last.set_aside
             if aside_now is not None and aside_now.height:
                 aside = aside or TableWriter(folder / f"{QUARANTINE}.parquet", schema.QUARANTINE)
+                first_aside = first_aside or aside_now.row(0)
                 aside.write(_quarantined(aside_now, last.rows_are, log, shown_as(log) if nameless else log.shown))
                 for reason, count in aside_now.group_by("reason", maintain_order=True).len().iter_rows():
                     counts[reason] = counts.get(reason, 0) + count
-        _check(log, written)
+        _check(log, written, rows_read, first_aside, last)
         if nameless:
             nameless.check(log.path)
         restarted = any(table.restart_rows for table in written.values())
@@ -197,13 +198,20 @@ class _Table:
             self.rates.add(frame)
 
 
-def _check(log: Log, written: dict[str, _Table]) -> None:
+def _check(
+    log: Log, written: dict[str, _Table], rows_read: int, aside: tuple[object, ...] | None, last: Recording | None
+) -> None:
+    """Refuse a log that holds nothing to use; `aside` is the place and reason of the first row set aside."""
     if not written.keys() & set(schema.MAIN):
         raise LogError(
             log.path, "holds neither robot, people, events, tasks nor an override", cure="Check what was recorded."
         )
     if not any(written[name].writer.rows for name in schema.MAIN if name in written):
-        raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
+        if aside is None:
+            raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
+        where = "" if aside[0] is None or last is None else f" ({last.rows_are} {aside[0]})"
+        cause = f"none of its {rows_read} rows can be used; the first{where}: {aside[1]}"
+        raise LogError(log.path, cause, cure="Check what its columns are, and their units (docs/adapters.md).")
 
 
 def _quarantined(rows: pl.DataFrame, rows_are: str, log: Log, shown: str) -> pl.DataFrame:

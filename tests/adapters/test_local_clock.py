@@ -12,7 +12,7 @@ import pytest
 from cyclekit.adapter import ReadOptions
 from cyclekit_adapters.formats.events import ADAPTER as EVENTS
 from cyclekit_adapters.formats.mapped_csv import ADAPTER as MAPPED
-from cyclekit_adapters.text.repeated_hour import RepeatedHour
+from cyclekit_adapters.times.local_clock import LocalClock
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +33,7 @@ def read_first(t_s: float) -> float:
 
 @pytest.mark.parametrize("cut", range(len(TRUE_S) + 1))
 def test_times_after_a_step_back_are_of_the_second_hour_wherever_the_blocks_were_cut(cut: int):
-    hour, first = RepeatedHour("Europe/Rome"), [read_first(t_s) for t_s in TRUE_S]
+    hour, first = LocalClock("Europe/Rome"), [read_first(t_s) for t_s in TRUE_S]
     blocks = [hour.in_order(pl.Series("t_s", some, pl.Float64)) for some in (first[:cut], first[cut:])]
     assert pl.concat(blocks).to_list() == TRUE_S
     assert hour.moved == 3
@@ -41,7 +41,7 @@ def test_times_after_a_step_back_are_of_the_second_hour_wherever_the_blocks_were
 
 
 def test_an_export_whose_newest_row_comes_first_is_read_from_its_end():
-    hour, first = RepeatedHour("Europe/Rome"), [read_first(t_s) for t_s in TRUE_S]
+    hour, first = LocalClock("Europe/Rome"), [read_first(t_s) for t_s in TRUE_S]
     assert hour.in_order(pl.Series("t_s", first[::-1], pl.Float64)).to_list() == TRUE_S[::-1]
     assert hour.moved == 3
 
@@ -50,15 +50,25 @@ def test_rows_a_little_out_of_order_other_hours_and_logs_without_a_zone_are_left
     for zone, times in (
         ("Europe/Rome", [FIRST + 100.0, FIRST + 70.0, FIRST + 101.0]),
         ("Europe/Rome", [FIRST - 86_400.0, FIRST - 90_000.0]),
-        (None, [FIRST + 3000.0, FIRST]),
+        (None, [FIRST + 1000.0, FIRST]),
     ):
-        hour = RepeatedHour(zone)
+        hour = LocalClock(zone)
         assert hour.in_order(pl.Series("t_s", times)).to_list() == times
         assert hour.warnings() == []
 
 
+def test_without_a_zone_a_step_back_by_an_hour_asks_for_it():
+    clock = LocalClock(None, "iso")
+    for t_s in TRUE_S:
+        clock.in_order(pl.Series("t_s", [read_first(t_s)]))
+    assert clock.warnings() == []
+    clock = LocalClock(None, "iso")
+    clock.in_order(pl.Series("t_s", [FIRST + 3590.0, FIRST]))
+    assert "time_zone" in clock.warnings()[0]
+
+
 def test_an_unknown_time_is_no_step_back():
-    hour = RepeatedHour("Europe/Rome")
+    hour = LocalClock("Europe/Rome")
     assert hour.in_order(pl.Series("t_s", [FIRST, None, FIRST + 1.0])).to_list() == [FIRST, None, FIRST + 1.0]
 
 
@@ -92,4 +102,4 @@ def test_a_mapped_log_across_the_change_is_one_run(tmp_path: Path):
 def test_summer_time_that_begins_leaves_no_doubt():
     begins = datetime(2026, 3, 29, 1, 59, tzinfo=ROME)
     times = [(begins + timedelta(minutes=n)).timestamp() for n in range(5)]
-    assert RepeatedHour("Europe/Rome").in_order(pl.Series("t_s", times)).to_list() == times
+    assert LocalClock("Europe/Rome").in_order(pl.Series("t_s", times)).to_list() == times

@@ -1,0 +1,1 @@
+"""Times of logs: units of counts and how one is proven, dates and times of day in text, coarse stamps."""

@@ -1,0 +1,167 @@
+"""Stamps coarser than the rows: several rows in a row with one time, such as whole seconds of a log at 125 Hz.
+
+The rows of each step of the clock are spread evenly over it. A step that the log cuts (its first and last, and those
+beside a gap) is filled at the rate of the whole ones, at its end or at its beginning. Rows that repeat a sample, values
+and all, are no such rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.errors import LogError
+from cyclekit_adapters.text.delimited import INDEX
+from cyclekit_adapters.times.proof import shown_s
+from cyclekit_adapters.times.row_times import T_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cyclekit_adapters.text.text_rows import TextRows
+    from cyclekit_adapters.times.proof import Vector
+
+    Bools = NDArray[np.bool_]
+
+_SHARED = 0.5
+"""Least share of neighbouring rows with one time, and of those that differ in their values, beside other neighbours.
+Half and twice of it decide no log of the tests: rows repeat nearly always, or nearly never."""
+_EVEN = 0.2
+"""Maximum relative difference of the numbers of rows of most whole steps: loggers on a PC are this uneven, and changes
+of a state are far more so. Half of it refuses a PC's log at 10 Hz."""
+_LEAST_STEPS = 3
+"""Number of whole steps from which a rate is known."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Where the rows lie within the steps of the clock.
+
+    Attributes:
+        step_s: Step of the clock, s.
+        rate_hz: Rows per second, of one track.
+        later_s: Time to add to the stamp of each row, s, by its number in the log.
+        time: Column of the times in s.
+    """
+
+    step_s: float
+    rate_hz: float
+    later_s: NDArray[np.float32]
+
+    time: str = T_S
+
+    def rows(self, rows: TextRows) -> TextRows:
+        """Return the rows with their times spread."""
+        later = pl.Series(self.later_s[rows.frame[INDEX].to_numpy()].astype(np.float64))
+        return replace(rows, frame=rows.frame.with_columns((pl.col(self.time) + later).alias(self.time)))
+
+    @property
+    def said(self) -> str:
+        """What was done, as a warning."""
+        each = f"about {self.rate_hz * self.step_s:.4g} rows share each"
+        return (
+            f"its stamps are {shown_s(self.step_s)} apart and {each}: they are spread evenly, at {self.rate_hz:.4g} Hz"
+        )
+
+
+def share_stamps(stamps: Sequence[str], of: Sequence[str] = ()) -> bool:
+    """Return whether neighbouring rows, of one track each if `of` names it, mostly have one time."""
+    tracks: dict[str, list[str]] = {}
+    for at, stamp in enumerate(stamps):
+        tracks.setdefault(of[at] if at < len(of) else "", []).append(stamp)
+    pairs = [same for track in tracks.values() for same in map(str.__eq__, track, track[1:])]
+    return len(pairs) > 1 and sum(pairs) >= _SHARED * len(pairs)
+
+
+def spread_of(
+    path: Path,
+    blocks: Iterable[TextRows],
+    values: Sequence[str],
+    *,
+    track: str | None = None,
+    rate_hz: float | None = None,
+    ask: bool = True,
+    time: str = T_S,
+) -> Spread | None:
+    """Return where the rows of a log lie within the steps of its clock; None if they do not share its stamps.
+
+    Args:
+        path: The log.
+        blocks: Its rows, with the column `time` in s.
+        values: Columns that change with each sample.
+        track: Column of the person, if each has rows of its own.
+        rate_hz: Rate of the rows; None = find it.
+        ask: Refuse a log whose rate cannot be found.
+        time: Column of the times in s.
+
+    Raises:
+        LogError: Rows share stamps, but not evenly, and no rate is given.
+    """
+    names = [INDEX, time, *dict.fromkeys([*values, *([track] if track else [])])]
+    frame = pl.concat([rows.frame.select(names) for rows in blocks])
+    if track:
+        frame = frame.sort(track, maintain_order=True)
+    whose = frame[track].rank("dense").fill_null(0).to_numpy() if track else np.zeros(frame.height)
+    t_s, new_track = frame[time].to_numpy(), np.diff(whose, prepend=np.nan) != 0
+    same = (np.diff(t_s, prepend=np.nan) == 0) & ~new_track
+    if not same.any() or not _differ(frame, values, same, new_track):
+        return None
+    first = np.flatnonzero(~same)  # row at which each run of one stamp begins
+    count = np.diff(first, append=len(t_s))
+    ahead = np.diff(t_s[first], append=np.nan)
+    ahead[np.append(new_track[first][1:], True)] = np.nan
+    steps = ahead[np.isfinite(ahead) & (ahead > 0)]
+    if not len(steps):
+        return None
+    known, often = np.unique(steps.round(6), return_counts=True)
+    step_s = float(known[often.argmax()])
+    follows = np.abs(ahead - step_s) < 1e-3 * step_s  # the next run is one step later
+    preceded = np.append(False, follows[:-1])
+    whole = count[follows & preceded]
+    usual = float(np.median(whole)) if len(whole) else 0.0
+    each = rate_hz * step_s if rate_hz else usual
+    even = len(whole) >= _LEAST_STEPS and float((np.abs(whole - usual) <= max(1.0, _EVEN * usual)).mean()) >= 0.8
+    if each < 1.5 or (not rate_hz and not even):
+        if not ask or (each < 1.5 and len(whole) >= _LEAST_STEPS):
+            return None
+        cause = (
+            f"several rows have one time ({int(count.min())} to {int(count.max())}, in steps of {shown_s(step_s)}), "
+        )
+        cause += "too unevenly to tell their rate"
+        raise LogError(path, cause, cure="Give rate_hz in its source of the cell file, or log finer times.")
+    later = _within(count, follows, preceded, each) * step_s
+    by_row = np.zeros(int(frame[INDEX].max()) + 1, np.float32)  # type: ignore[arg-type]  # of an integer column
+    by_row[frame[INDEX].to_numpy()] = later
+    return Spread(step_s, each / step_s, by_row, time)
+
+
+def _differ(frame: pl.DataFrame, values: Sequence[str], same: Bools, new_track: Bools) -> bool:
+    """Return whether rows of one stamp differ in their values about as often as others, as samples of their own do."""
+    if not values:
+        return False
+    differs = pl.any_horizontal(pl.col(name).ne_missing(pl.col(name).shift(1)) for name in values)
+    changed = frame.select(differs).to_series().to_numpy()
+    within, between = changed[same & ~new_track], changed[~same & ~new_track]
+    return bool(within.any() and (not len(between) or within.mean() >= _SHARED * between.mean()))
+
+
+def _within(count: NDArray[np.int64], follows: Bools, preceded: Bools, each: float) -> Vector:
+    """Return where each row lies within its step, from 0 to 1, shape (N,).
+
+    Args:
+        count: Rows of each run of one stamp.
+        follows: The next run is one step later.
+        preceded: The previous run is one step earlier.
+        each: Rows of a whole step.
+    """
+    cut = ~(follows & preceded)
+    rows = np.where(cut, np.maximum(count, each), count)  # rows that the step had if it was not cut
+    begin = np.where(cut & follows, rows - count, 0.0)  # the log begins within it
+    number = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    return np.asarray((number + 0.5 + np.repeat(begin, count)) / np.repeat(rows, count), np.float64)

@@ -138,9 +138,12 @@ def learn_runs(
             for agent, kind in agents.items()
         }
         of_none, other = judge(never)
-        if said := unproven(off, other):
+        if of_none is not None and (said := unproven(off, other)):
             model = structs.replace(_learned(runs, agents, never, cut), clocks=clocks, warnings=(said,))
-            judged = of_none
+            unknown = float(
+                np.sqrt(np.mean(np.square([*other.values()])))
+            )  # waits as work look like chance: all counts
+            judged = structs.replace(of_none, order_error=max(of_none.order_error, unknown))
     return structs.replace(model, held_out=judged)
 
 

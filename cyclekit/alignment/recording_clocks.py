@@ -27,6 +27,7 @@ from cyclekit.alignment.clocks import (
     fit_pairs,
     follow,
 )
+from cyclekit.config.cells import CLOCK_KEYS
 from cyclekit.dataset.cards import LogCard, Note, RecordingCard, note
 from cyclekit.dataset.signals import event_times
 from cyclekit.errors import ConfigError, UnknownName
@@ -116,6 +117,13 @@ def can_follow(log: LogCard, robot: LogCard, sources: Mapping[str, Source | None
     except ConfigError:
         return False
     return fit.method in ("event-pairs", "motion", "lower-envelope")
+
+
+def is_stated(source: Source | None) -> bool:
+    """Return whether the cell file says how a log's clock relates to the robot's."""
+    return source is not None and (
+        source.start is not None or any(getattr(source, key) not in (None, ()) for key in CLOCK_KEYS)
+    )
 
 
 def _placed(log: LogCard, session: str, fit: ClockFit) -> RecordingCard:

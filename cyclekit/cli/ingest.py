@@ -41,9 +41,9 @@ def ingest(
         ),
     ] = False,
     align_clocks: Annotated[
-        Literal["coarse"] | None,
+        Literal["logs"] | None,
         typer.Option(
-            help="coarse: align the tracker's clock by the robot's slow-downs even in doubt (docs/clocks.md)."
+            help="logs: align clocks by what the logs show, also in doubt and against what is stated (docs/clocks.md)."
         ),
     ] = None,
     accept_bad_logs: Annotated[

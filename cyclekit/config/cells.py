@@ -11,8 +11,8 @@ from msgspec import Meta
 Role = Literal["robot", "people", "events", "tasks"]
 Mover = Literal["people", "hand"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
-AlignClocks = Literal["coarse"]
-"""How clocks that nothing relates are aligned: `coarse` = by the robot's slow-downs, also in doubt."""
+AlignClocks = Literal["logs"]
+"""How clocks are aligned: `logs` = by what the logs themselves show, also in doubt and against what is stated."""
 FARTHEST_M = 1e7
 """Farthest coordinate, m: the pole in the coordinates of a survey (the metre was made for that)."""
 Number = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
@@ -244,7 +244,7 @@ class Cell:
         accept_bad_logs: Whether to go on without the only log of its kind if it cannot be read, and with values that
             cannot be.
         goal_signals: Signals whose values name the place to which the operator goes next, as they are logged.
-        align_clocks: How clocks that nothing relates are aligned; None = only where the logs leave no doubt.
+        align_clocks: How clocks are aligned; None = by the logs only where nothing else does, and without doubt.
     """
 
     name: str = "cell"

@@ -95,7 +95,7 @@ _SAID = {
     "logs": "files and folders of logs",
     "name": "title of the report; else the name of this folder",
     "cell": "what the logs do not contain; default: cell.toml in the folder of the logs, if it exists",
-    "align_clocks": "align a tracker's clock by the robot's slow-downs, also in doubt (docs/clocks.md)",
+    "align_clocks": "align clocks by what the logs show, also in doubt and against what is stated (docs/clocks.md)",
     "pseudonymise": "keep no track ids and no wall-clock time (docs/privacy.md)",
     "dataset": "made by ingest",
     "model": "made by train",
@@ -125,7 +125,7 @@ def project_to_toml(project: Project) -> str:
 _EXAMPLES = {
     "name": "cell 4",
     "cell": "cell.toml",
-    "align_clocks": "coarse",
+    "align_clocks": "logs",
     "pseudonymise": True,
     "jobs": "jobs.toml",
     "takt": "105s",

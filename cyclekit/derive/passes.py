@@ -24,6 +24,7 @@ from cyclekit.derive.first_pass import first_pass
 from cyclekit.derive.found_slider import sliders_of, without_slider_loss
 from cyclekit.derive.interruptions import interruption_notes, with_interruptions
 from cyclekit.derive.last_pass import LastPassInput, last_pass
+from cyclekit.derive.log_clocks import with_tested_clocks
 from cyclekit.derive.notes import empty_tracker_notes, input_notes, signal_notes, unseen_notes
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
@@ -39,7 +40,6 @@ from cyclekit.derive.signals.session_signals import (
     restart_notes,
     some_executions,
 )
-from cyclekit.derive.slow_down_clocks import with_slow_down_clocks
 from cyclekit.derive.tracker_frame import frame_notes
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
@@ -99,7 +99,7 @@ def derive(
     work: StageProgress,
     *,
     engine: Engine = LOCAL,
-    coarse: bool = False,
+    by_logs: bool = False,
 ) -> Derived:
     """Compute samples and tasks.
 
@@ -112,7 +112,7 @@ def derive(
         folder: Folder for the files of samples.
         work: Told how far it is.
         engine: Runs the passes over the sessions; `read` and `stored` must work in its workers.
-        coarse: Align clocks that nothing else relates to the robot's by the slow-downs, also where uncertain.
+        by_logs: Align clocks by the logs also where that is not certain, and against what is stated.
 
     Raises:
         UnknownName: The home of the cell file is not among the places found.
@@ -127,11 +127,11 @@ def derive(
     first_results = passes.over(first, groups, "motion")
     work.found(groups, first_results)
     sessions = numbered(first_results)
-    moved = partial(with_moved_overrides, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
+    moved = partial(with_moved_overrides, sources=sources, read=read, stored=stored, cell=cell, by_logs=by_logs)
     first_results, told = moved(passes, first_results, sessions)
     robot = robot_of(first_results, sessions, cell, passes.engine, partial(work.at, "speed"))
     robot = robot._replace(warnings=[*told, *robot.warnings])
-    sessions = with_slow_down_clocks(passes, sessions, robot.runs, sources, read, asked=coarse)
+    sessions = with_tested_clocks(passes, sessions, robot.runs, sources, read, asked=by_logs)
     to_sample, dwells = with_standstills(passes, sessions, robot)
     sample = partial(second_pass, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)

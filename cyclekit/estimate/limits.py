@@ -185,7 +185,7 @@ REFUSED_BIAS = 0.1
 
 _OWN = (
     "It was trained on them, so it does not see what slows the robot: {look} clocks, frames and unknown causes in "
-    "cyclekit inspect DATASET; if the tracker's clock may be off by seconds, ingest with --align-clocks coarse"
+    "cyclekit inspect DATASET; if the tracker's clock may be off, ingest with --align-clocks logs"
 )
 
 

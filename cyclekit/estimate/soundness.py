@@ -25,9 +25,13 @@ if TYPE_CHECKING:
 
 FEW_EXECUTIONS = 20
 """Number of operator tracks below which the mean is reported as uncertain (by more than 1 % in the cells so far)."""
-ROUGHLY: tuple[ClockMethod, ...] = ("coarse", "start-text")
+ROUGHLY: tuple[ClockMethod, ...] = ("logs", "start-text")
 """Methods of clock alignment that leave an error of the order of a reaction time."""
-GIVE_CLOCK = "give clock_offset_s, sync or sees in the cell file, or ingest with --align-clocks coarse"
+BY_THE_LOGS: tuple[ClockMethod, ...] = ("own", "same-log", "event-pairs", "motion", "lower-envelope", "logs")
+"""Methods that the logs themselves decide: one device, or a fit with its residual."""
+WRONG = ("clock-contradicted", "clock-by-logs-unsure", "clock-apart", "clock-future")
+"""Codes of notes on a clock that is wrong, or not certain."""
+GIVE_CLOCK = "give clock_offset_s, sync or sees in the cell file, or ingest with --align-clocks logs"
 GIVE_POSE = "give frame in the cell file (`cyclekit calibrate points.csv` computes it)"
 
 
@@ -87,16 +91,27 @@ def _clock(dataset: Dataset, model: object) -> Iterator[Finding]:
         return  # only the robot's own log
     others = [one for one in dataset.recordings if "people" in one.tables or isinstance(model, OnStates)]
     methods = {one.clock.method for one in others}
-    if ASSUMED in methods and not (confirmed(dataset) or _signals_found(dataset, model)):
+    shown = confirmed(dataset) or _signals_found(dataset, model)
+    untested = {
+        one.clock.method
+        for one in others
+        if one.clock.method not in BY_THE_LOGS
+        and not (shown or (one.clock.test is not None and one.clock.test.certain))
+    }
+    if wrong := [said for one in others for said in one.clock.warnings if said.code in WRONG]:
+        yield Finding("clock", "red", wrong[0].text)
+    elif ASSUMED in untested:
         text = "the clocks of robot and tracker are assumed to start together, and nothing in the logs confirms it"
         yield Finding("clock", "red", text, GIVE_CLOCK)
     elif methods.intersection(ROUGHLY):
         text = "the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown"
         yield Finding("clock", "amber", text, "give sync or clock_offset_s in the cell file")
-    elif ASSUMED in methods:
-        yield Finding("clock", "green", "the clocks are assumed to start together, and the slow-downs confirm it")
+    elif untested:
+        text = "the clocks of robot and tracker are as stated, and nothing in the logs shows whether that is right"
+        yield Finding("clock", "amber", text, "log more executions that show people")
     elif others:
-        yield Finding("clock", "green", "the clocks of robot and tracker are aligned")
+        how = "the clocks are assumed to start together" if ASSUMED in methods else "the clocks are aligned"
+        yield Finding("clock", "green", f"{how}, and the logs confirm it")
 
 
 def _signals_found(dataset: Dataset, model: object) -> bool:

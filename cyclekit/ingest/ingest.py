@@ -99,8 +99,8 @@ def ingest(
         pseudonymise: Store neither tracker names nor wall-clock time (docs/privacy.md).
         keep_skeletons: Store all joints of all persons, if a tracker has them; no estimate needs them.
         checksums: Store the BLAKE3 checksum of each log, which later shows whether a file is the one that was read.
-        align_clocks: "coarse": align unrelated clocks by the slow-downs, also in doubt (docs/clocks.md); by default
-            that of the cell file.
+        align_clocks: "logs": align clocks by what the logs show, also in doubt and against what is stated
+            (docs/clocks.md); by default that of the cell file.
         accept_bad_logs: Go on without the only log of its kind if it cannot be read, and with values that cannot be
             (a person 4 km away: millimetres); otherwise these are errors. Default: that of the cell file.
         follow_links: Read targets of links that lead out of a folder of logs; otherwise they are listed in `not_read`.
@@ -244,9 +244,9 @@ def _build(
     shared = split_shared(divided.groups, native, staging)
     groups, copies = shared.groups, {**divided.copies, **shared.copies}
     sources |= {name: sources[log] for name, log in copies.items()}
-    coarse = cell.align_clocks == "coarse"
+    by_logs = cell.align_clocks == "logs"
     derived = derive(
-        groups, sources, native, stored, cell, staging / "samples", work, engine=wanted.engine, coarse=coarse
+        groups, sources, native, stored, cell, staging / "samples", work, engine=wanted.engine, by_logs=by_logs
     )
     warnings = [*divided.notes, *derived.warnings, *unpaired(groups)]
     warnings += [*_unmatched(cell, wanted.logs), *_without_goals(cell, read, native), *_without_places(read)]

@@ -18,7 +18,7 @@ import polars as pl
 from msgspec import structs
 
 from cyclekit import schema
-from cyclekit.alignment.recording_clocks import RESTART_S, can_follow
+from cyclekit.alignment.recording_clocks import RESTART_S, can_follow, is_stated
 from cyclekit.dataset.cards import LogCard, Note, note
 from cyclekit.storage.parquet import TableWriter, parts_of
 
@@ -79,7 +79,9 @@ def divide_restarted(
         parts = _parts(log, joints, ids, staging / "recordings")
         copies |= {part.id: log.id for part in parts[1:]}
         known = {**sources, **{part.id: sources[log.id] for part in parts}}
-        members, left = _members(parts, group.logs[1:], partial(_follows, sources=known, read=read, stored=stored))
+        follows = partial(_follows, sources=known, read=read, stored=stored)
+        tested = [log for log in group.logs[1:] if "people" in log.tables and not is_stated(sources[log.id])]
+        members, left = _members(parts, group.logs[1:], follows, tested)
         for part, others in zip(parts, members, strict=True):
             name = group.name if part is parts[0] else _free(group.name, names)
             made.append(replace(group, name=name, logs=(part, *others)))
@@ -167,16 +169,19 @@ def _stretch(stamps: pl.DataFrame, number: int, count: int) -> list[pl.DataFrame
 
 
 def _members(
-    parts: Sequence[LogCard], others: Sequence[LogCard], follows: partial[bool]
+    parts: Sequence[LogCard], others: Sequence[LogCard], follows: partial[bool], tested: Sequence[LogCard]
 ) -> tuple[list[list[LogCard]], list[LogCard]]:
-    """Return the other logs of each part, and those that are in the first part for want of a known clock."""
+    """Return the other logs of each part, and those that are in the first part for want of a known clock.
+
+    Clocks that will be tested in each part belong to all of them.
+    """
     members: list[list[LogCard]] = [[] for _ in parts]
     left: list[LogCard] = []
     for log in others:
         fit = [members[number] for number, part in enumerate(parts) if follows(log, part, others)]
-        for mine in fit or members[:1]:
+        for mine in fit or (members if log in tested else members[:1]):
             mine.append(log)
-        left += [] if fit else [log]
+        left += [] if fit or log in tested else [log]
     return members, left
 
 

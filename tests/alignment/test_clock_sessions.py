@@ -229,58 +229,81 @@ def test_two_logs_that_borrow_each_other_s_clock_are_refused(few: Path, tmp_path
         ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": "session_*/events.csv"}))
 
 
-def test_a_tracker_of_unknown_clock_is_aligned_by_the_slow_downs(logs: Path, tmp_path: Path):
+def test_a_tracker_of_unknown_clock_is_aligned_by_the_logs(logs: Path, tmp_path: Path):
     dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {}))
     clock = operator.clock
-    assert clock.method == "coarse"
-    assert worst_s(clock, length_s(dataset)) < 0.06  # this safety function has no delay to hide
+    assert clock.method == "logs"
+    assert worst_s(clock, length_s(dataset)) < 0.1  # this safety function has no delay to hide
     assert any("reaction delay" in text for text in operator.said)
     buttons = next(one for one in dataset.recordings if one.shown.endswith("events.csv"))
     assert buttons.clock.same_as == operator.id
     assert buttons.clock.offset_s == clock.offset_s
 
 
-@pytest.fixture
-def too_few_changes(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("cyclekit.alignment.clocks.slow_downs.MIN_CHANGES", 1000)
+def test_a_stated_clock_that_is_wrong_is_named_with_its_line_and_aligned_on_request(logs: Path, tmp_path: Path):
+    cell = cell_with(logs, {"clock_offset_s": 110.0})
+    operator = ingested(logs, tmp_path / "d", cell)[1]
+    assert operator.clock.method == "cell-file"
+    (said,) = [text for text in operator.said if "its clock is wrong" in text]
+    line = float(said.partition("give clock_offset_s = ")[2].partition(",")[0])
+    assert line == pytest.approx(ROBOT_START_S - LEAD_S + OFFSET_S, abs=0.1)
+    again, mended = ingested(logs, tmp_path / "again", replace(cell, align_clocks="logs"))
+    assert mended.clock.method == "logs"
+    assert worst_s(mended.clock, length_s(again)) < 0.1
 
 
-@pytest.mark.usefixtures("too_few_changes")
-def test_slow_downs_that_do_not_tell_the_clock_leave_a_common_start(few: Path, tmp_path: Path):
-    plain = ingested(few, tmp_path / "d", cell_with(few, {}))[1]
+def test_a_stated_clock_that_is_right_is_confirmed_and_kept(logs: Path, tmp_path: Path):
+    cell = cell_with(logs, {"clock_offset_s": ROBOT_START_S - LEAD_S + OFFSET_S})
+    operator = ingested(logs, tmp_path / "d", replace(cell, align_clocks="logs"))[1]
+    assert operator.clock.method == "cell-file"
+    assert operator.clock.test is not None
+    assert operator.clock.test.certain
+    assert not [text for text in operator.said if "clock" in text]
+
+
+def without_slow_downs(logs: Path, folder: Path) -> Path:
+    """The logs of a robot that nobody slows."""
+    shutil.copytree(logs, folder)
+    (robot,) = folder.rglob("robot.csv")
+    pl.read_csv(robot, separator=" ").with_columns(speed_scaling=pl.lit(1.0)).write_csv(robot, separator=" ")
+    return folder
+
+
+def test_logs_that_tell_no_lag_leave_a_common_start_and_say_so_if_asked(few: Path, tmp_path: Path):
+    logs = without_slow_downs(few, tmp_path / "logs")
+    plain = ingested(logs, tmp_path / "d", cell_with(few, {}))[1]
     assert plain.clock.method == "assumed-common-start"
     assert any("a common start is assumed" in text for text in plain.said)
-    assert not any("not aligned on the operator" in text for text in plain.said)
+    asked = ingested(logs, tmp_path / "asked", cell_with(few, {}), align_clocks="logs")[1]
+    assert asked.clock.method == "assumed-common-start"
+    assert any("not aligned by the logs" in text for text in asked.said)
 
 
-def test_coarse_alignment_that_finds_nothing_says_so(few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("cyclekit.derive.slow_down_clocks.rough_lag", lambda *_, **__: None)
-    operator = ingested(few, tmp_path / "d", cell_with(few, {}), align_clocks="coarse")[1]
-    assert operator.clock.method == "assumed-common-start"
-    (said,) = [text for text in operator.said if "not aligned on the operator" in text]
-    assert "no offset within 120 s shows that" in said
-    assert "clock_offset_s" in said
+def test_a_lag_that_is_not_certain_is_used_on_request_alone_and_says_so(few: Path, tmp_path: Path):
+    logs = tmp_path / "logs"
+    shutil.copytree(few, logs)
+    take = next(logs.rglob("operator.csv"))
+    lines = take.read_text(encoding="utf-8").splitlines()
+    take.write_text("\r\n".join(lines[: 7 + 90 * 60]) + "\r\n", encoding="utf-8", newline="")  # a minute and a half
+    cell = cell_with(few, {})
+    assert ingested(logs, tmp_path / "d", cell)[1].clock.method == "assumed-common-start"
+    operator = ingested(logs, tmp_path / "asked", cell, align_clocks="logs")[1]
+    assert operator.clock.method == "logs"
+    assert any("NOT certain" in text for text in operator.said)
 
 
-@pytest.mark.usefixtures("too_few_changes")
-def test_coarse_alignment_on_request_takes_a_lag_that_is_not_certain(few: Path, tmp_path: Path):
-    operator = ingested(few, tmp_path / "d", cell_with(few, {}), align_clocks="coarse")[1]
-    assert operator.clock.method == "coarse"
-    assert operator.clock.residual_s == 0.5
-
-
-def test_coarse_alignment_touches_no_clock_that_is_known(few: Path, tmp_path: Path):
+def test_clocks_that_the_logs_do_not_contradict_are_kept(few: Path, tmp_path: Path):
     cell = cell_with(few, {"clock_offset_s": 146.862})
-    assert ingested(few, tmp_path / "d", cell, align_clocks="coarse")[1].clock.method == "cell-file"
+    assert ingested(few, tmp_path / "d", cell, align_clocks="logs")[1].clock.method == "cell-file"
 
 
-@pytest.mark.parametrize(("late_s", "method"), [(5.0, "coarse"), pytest.param(0.0, "epoch", marks=pytest.mark.slow)])
-def test_coarse_alignment_on_request_corrects_a_computer_whose_clock_is_off(
-    few: Path, tmp_path: Path, late_s: float, method: str
+@pytest.mark.parametrize(("late_s", "method"), [(5.0, "logs"), pytest.param(0.0, "epoch", marks=pytest.mark.slow)])
+def test_alignment_on_request_corrects_a_computer_whose_clock_is_off(
+    logs: Path, tmp_path: Path, late_s: float, method: str
 ):
     """Both logs have time since 1970, but the tracker's computer is not synchronised."""
     folder, since_s = tmp_path / "logs", 1_700_000_000.0
-    shutil.copytree(few, folder, ignore=shutil.ignore_patterns("flange.csv", "gripper.csv", "events.csv"))
+    shutil.copytree(logs, folder, ignore=shutil.ignore_patterns("flange.csv", "gripper.csv", "events.csv"))
     session = folder / "session_000"
     robot = pl.read_csv(session / "robot.csv", separator=" ")
     robot.with_columns(pl.col("timestamp") + since_s).write_csv(session / "robot.csv", separator=" ")
@@ -291,12 +314,12 @@ def test_coarse_alignment_on_request_corrects_a_computer_whose_clock_is_off(
     rows = pl.DataFrame({"time": at, "x": x, "y": -z, "z": up}).drop_nans()
     rows.write_csv(session / "people.csv", float_precision=4)
     (session / "operator.csv").unlink()
-    cell = cell_with(few, {}, only=False)
+    cell = cell_with(logs, {}, only=False)
     columns = {name: name for name in ("time", "x", "y", "z")}
     layout = {"delimiter": ",", "clock": "epoch", "time_unit": "s", "length_unit": "m", **columns}
     tracker = Source("session_*/people.csv", adapter="csv", role="people", frame=cell.sources[1].frame, map=layout)
     cell = replace(cell, sources=(cell.sources[0], tracker))
-    ingest([folder], tmp_path / "d", cell=cell, align_clocks="coarse")
+    ingest([folder], tmp_path / "d", cell=cell, align_clocks="logs")
     dataset = Dataset.open(tmp_path / "d")
     clocks = {name: one.clock for one in dataset.recordings for name in one.tables}
     assert clocks["people"].method == method
@@ -316,9 +339,9 @@ def test_start_texts_place_a_log_to_a_second_or_so(few: Path, tmp_path: Path):
 
 def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_doubled(few: Path, tmp_path: Path):
     cell = cell_with(few, {})
-    ingested(few, tmp_path / "d", cell)
-    _, operator = ingested(few, tmp_path / "d", replace(cell, bridge_s=0.4))
-    assert len([text for text in operator.said if "reaction delay" in text]) == 1
+    ingested(few, tmp_path / "d", cell, align_clocks="logs")
+    _, operator = ingested(few, tmp_path / "d", replace(cell, bridge_s=0.4), align_clocks="logs")
+    assert len([text for text in operator.said if "aligned by the logs" in text]) == 1
 
 
 def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange_that_is_named(few: Path, tmp_path: Path):

@@ -263,15 +263,15 @@ def test_the_next_run_aligns_clocks_as_the_project_says(begun: Path, cyclekit: S
     file = begun / "cyclekit.toml"
     file.write_text(re.sub(r"(?m)^# align_clocks", "align_clocks", file.read_text("utf-8")), "utf-8")
     assert states(cyclekit("run", "--json"))["ingest"] == "done"
-    assert Dataset.open("dataset").card.settings.align_clocks == "coarse"
+    assert Dataset.open("dataset").card.settings.align_clocks == "logs"
     assert "up to date" in cyclekit("ingest").out
 
 
 def test_run_says_how_to_keep_what_was_typed_at_ingest(begun: Path, logs: Path, cyclekit: Shell) -> None:
-    assert cyclekit("ingest", "--align-clocks", "coarse", "--rate", "20", "--keep-skeletons").code == 0
+    assert cyclekit("ingest", "--align-clocks", "logs", "--rate", "20", "--keep-skeletons").code == 0
     told = cyclekit("run", "--json")
     (text,) = (row["text"] for row in told.document["rows"] if row["stage"] == "ingest")
-    for kept in ('align_clocks = "coarse"', "rate_hz = 20"):
+    for kept in ('align_clocks = "logs"', "rate_hz = 20"):
         assert f"the last dataset had {kept}" in text
     assert "cell file" in text
     assert Dataset.open("dataset").card.skeletons  # no file can say so

@@ -288,7 +288,7 @@ CELL = st.builds(
     bridge_s=st.floats(0, 3600),
     goal_signals=st.lists(TEXT, max_size=2).map(tuple),
     accept_bad_logs=st.booleans(),
-    align_clocks=st.sampled_from([None, "coarse"]),
+    align_clocks=st.sampled_from([None, "logs"]),
     levels=st.just(()) | st.lists(st.floats(0, 1), min_size=2, max_size=5, unique=True).map(sorted).map(tuple),
 )
 

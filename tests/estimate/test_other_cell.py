@@ -149,7 +149,7 @@ def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_
     with pytest.raises(ModelError) as own:
         refuse_biased(BIASED, own=True)
     assert "It was trained on them" in str(own.value.cure)
-    assert "--align-clocks coarse" in str(own.value.cure)
+    assert "--align-clocks logs" in str(own.value.cure)
     assert "cyclekit train" not in str(own.value.cure)
     assert "[[waits]]" not in str(own.value.cure)
     with pytest.raises(ModelError) as coupled:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.dataset.cards import DynamicsCard, note
+from cyclekit.dataset.cards import ClockTest, DynamicsCard, note
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.finding import LEVELS, Finding, merged, worst
 from cyclekit.estimate.rollout import estimate
@@ -26,12 +26,19 @@ UNCONFIRMED = DynamicsCard(changes=300, spread_m=0.3)
 """No reaction time at which the places of the slow-downs agree."""
 
 
-def with_clock(dataset: Dataset, method: str, dynamics: DynamicsCard, frame: str = "robot base") -> Dataset:
+def with_clock(
+    dataset: Dataset,
+    method: str,
+    dynamics: DynamicsCard,
+    frame: str = "robot base",
+    test: ClockTest | None = None,
+    codes: Sequence[str] = (),
+) -> Dataset:
     """The same logs with people on a clock, and in a frame, that were found in another way."""
     recordings = [
         msgspec.structs.replace(
             one,
-            clock=msgspec.structs.replace(one.clock, method=method),
+            clock=msgspec.structs.replace(one.clock, method=method, test=test, warnings=tuple(map(note, codes))),
             frame=msgspec.structs.replace(one.frame, method=frame, xyz_m=None, rotation=None),
         )
         if "people" in one.tables
@@ -47,20 +54,30 @@ def light_of(dataset: Dataset, model: Any, code: str) -> str:
     return next(one.level for one in found if one.code == code)
 
 
+CERTAIN = ClockTest(lag_s=0.1, explained=0.9, next_best=0.2, here=0.9, certain=True)
+
+
 @pytest.mark.parametrize(
-    ("method", "confirms", "level"),
+    ("method", "test", "confirms", "codes", "level"),
     [
-        ("cell-file", False, "green"),
-        ("assumed-common-start", True, "green"),
-        ("assumed-common-start", False, "red"),
-        ("coarse", True, "amber"),
+        ("cell-file", None, False, (), "amber"),
+        ("cell-file", None, True, (), "green"),
+        ("epoch", CERTAIN, False, (), "green"),
+        ("epoch", CERTAIN, True, ("clock-contradicted",), "red"),
+        ("epoch", None, True, ("clock-apart",), "red"),
+        ("event-pairs", None, False, (), "green"),
+        ("assumed-common-start", None, True, (), "green"),
+        ("assumed-common-start", CERTAIN, False, (), "green"),
+        ("assumed-common-start", msgspec.structs.replace(CERTAIN, certain=False), False, (), "red"),
+        ("logs", CERTAIN, True, (), "amber"),
+        ("logs", CERTAIN, True, ("clock-by-logs-unsure",), "red"),
     ],
 )
-def test_a_clock_that_is_only_assumed_is_red_unless_the_slow_downs_confirm_it(
-    logged: Dataset, staircase: Any, method: str, confirms: bool, level: str
+def test_a_clock_is_green_only_where_the_logs_tested_it(
+    logged: Dataset, staircase: Any, method: str, test: Any, confirms: bool, codes: Sequence[str], level: str
 ) -> None:
     response = DynamicsCard(latency_s=0.1, changes=300, spread_m=0.01) if confirms else UNCONFIRMED
-    assert light_of(with_clock(logged, method, response), staircase, "clock") == level
+    assert light_of(with_clock(logged, method, response, test=test, codes=codes), staircase, "clock") == level
 
 
 def test_a_pose_that_is_only_assumed_is_red_unless_the_slow_downs_confirm_it(logged: Dataset, staircase: Any) -> None:

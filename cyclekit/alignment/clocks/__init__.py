@@ -10,9 +10,8 @@ from __future__ import annotations
 from cyclekit.alignment.clocks.fit import ASSUMED, ClockFit, ClockStart, Method, fit_clock, follow, lower_envelope
 from cyclekit.alignment.clocks.motion import fit_motion
 from cyclekit.alignment.clocks.pairs import fit_events, fit_pairs
-from cyclekit.alignment.clocks.slow_downs import REACH_S, Lag, LagEvidence, fit_lags, rough_lag, speed_changes
 
 __all__ = [
-    "ASSUMED", "REACH_S", "ClockFit", "ClockStart", "Lag", "LagEvidence", "Method", "fit_clock", "fit_events",
-    "fit_lags", "fit_motion", "fit_pairs", "follow", "lower_envelope", "rough_lag", "speed_changes",
+    "ASSUMED", "ClockFit", "ClockStart", "Method", "fit_clock", "fit_events", "fit_motion", "fit_pairs", "follow",
+    "lower_envelope",
 ]  # fmt: skip

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cyclekit.adapter.clock_line import EXPLAINED, MAX_DRIFT, MAX_RATE, least_delays, slope_under
-from cyclekit.dataset.cards import ClockCard, ClockMethod, Note, note
+from cyclekit.dataset.cards import ClockCard, ClockMethod, ClockTest, Note, note
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ class ClockFit:
         second_best: Height of the second peak divided by that of the first; near 1, the fit is ambiguous.
         second_best_s: Distance of the second peak from the first, s.
         same_as: Recording whose clock this log shares.
+        test: What the logs themselves say about it.
     """
 
     method: Method
@@ -60,6 +61,7 @@ class ClockFit:
     second_best: float | None = None
     second_best_s: float | None = None
     same_as: str | None = None
+    test: ClockTest | None = None
 
     def since(self, start_s: float) -> ClockFit:
         """Return the fit to the other log's time counted from `start_s`."""

@@ -51,6 +51,7 @@ from cyclekit.dataset.cards.read import read_content as read_content
 from cyclekit.dataset.cards.read import read_json as read_json
 from cyclekit.dataset.cards.recording import ClockCard as ClockCard
 from cyclekit.dataset.cards.recording import ClockMethod as ClockMethod
+from cyclekit.dataset.cards.recording import ClockTest as ClockTest
 from cyclekit.dataset.cards.recording import FrameCard as FrameCard
 from cyclekit.dataset.cards.recording import LogCard as LogCard
 from cyclekit.dataset.cards.recording import OperatorCard as OperatorCard

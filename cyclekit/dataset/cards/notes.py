@@ -146,6 +146,16 @@ def _clock_apart(values: Mapping[str, Value]) -> str:
     )
 
 
+def _clock_contradicted(values: Mapping[str, Value]) -> str:
+    here = f", and {float(values['here']):.0%} as it is" if "here" in values else ""
+    rate = f", clock_rate = {float(values['rate']):.6f}" if "rate" in values else ""
+    return (
+        f"its clock is wrong: {float(values['lag_s']):+.2f} s would let the place of people explain "
+        f"{float(values['explained']):.0%} of the robot's speed level (next best {float(values['next_best']):.0%}"
+        f'{here}); give clock_offset_s = {float(values["offset_s"]):.2f}{rate}, or align_clocks = "logs", in cell.toml'
+    )
+
+
 def _events(values: Mapping[str, Value]) -> str:
     many = "one event" if values["events"] == 1 else f"{values['events']} events"
     return f"its clock is aligned on only {many}, too few to check it: record three or more"
@@ -182,6 +192,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "the offset of its clock to the robot's is unknown: a common start is assumed; "
         "give clock_offset_s, sync or sees in cell.toml"
     ),
+    "clock-part-unknown": (
+        "nothing in the logs relates its clock to this part of the robot's log, so nobody is seen in it; give sync, or "
+        "split it at the restart as well, one folder for each part"
+    ),
     "clock-apart": _clock_apart,
     "clock-future": (
         "its last time is {late} than its file was written: its clock, its unit or its epoch is wrong; give "
@@ -204,15 +218,19 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "its clock runs at {rate:.4f} times the speed of its host's, which no real clock does: if its time is "
         "simulated, durations are simulated ones"
     ),
-    "clock-not-coarse": (
-        "not aligned on the operator being near while the robot slows: no offset within {reach_s:.0f} s shows that, "
-        "and larger ones are not searched"
+    "clock-not-by-logs": (
+        "not aligned by the logs: they show no lag at which the place of people explains the robot's speed level"
     ),
-    "clock-coarse": (
-        "its clock was aligned by the operator being near while the robot slows: the reaction delay of the safety "
-        "function is hidden in it, so delays in this dataset are meaningless"
+    "clock-by-logs": (
+        "its clock was aligned by the logs, {lag_s:+.2f} s: there the place of people explains {explained:.0%} of the "
+        "robot's speed level, next best {next_best:.0%}; the reaction delay of the safety function is hidden in it"
     ),
-    "clock-coarse-ambiguous": "an offset {away_s:+.1f} s away fits almost as well",
+    "clock-by-logs-unsure": (
+        "its clock was aligned by the logs, {lag_s:+.2f} s, but that is NOT certain: the place of people explains "
+        "{explained:.0%} of the robot's speed level there, and {next_best:.0%} at another lag, {away_s:+.1f} s away; "
+        "give clock_offset_s, sync or sees in cell.toml, or log longer"
+    ),
+    "clock-contradicted": _clock_contradicted,
     "clock-by-start": (
         "aligned by the time of day of its start: accurate to about a second, so no delay can be read from it"
     ),
@@ -233,7 +251,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "frame-assumed": (
         "the tracker's pose is not given, so its axes are taken as those of the robot base; the slow-downs do not "
         "confirm that: give frame in cell.toml (`cyclekit calibrate points.csv` computes it); if the tracker's clock "
-        "may be off by seconds, ingest with --align-clocks coarse"
+        "may be off, ingest with --align-clocks logs"
     ),
     "frame-doubtful": (
         "the tracker's frame is probably wrong: the robot slows at distances that differ by {spread_m:.2f} m (median), "

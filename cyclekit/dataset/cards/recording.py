@@ -20,7 +20,7 @@ ClockMethod = Literal[
     "lower-envelope",
     "epoch",
     "start-text",
-    "coarse",
+    "logs",
     "assumed-common-start",
 ]
 """Method by which a log's clock was aligned with that of its session."""
@@ -53,6 +53,24 @@ class LogClock(Card, frozen=True, kw_only=True):
     kind: Literal["epoch", "uptime", "relative"]
 
 
+class ClockTest(Card, frozen=True, kw_only=True):
+    """What the logs themselves say about a clock: where people are explains the robot's level of speed.
+
+    Attributes:
+        lag_s: Time to be added to the log's at the best lag, relative to the clock as it was stated or assumed.
+        explained: Share of the variance of the level that is explained there.
+        next_best: The same at the best other peak.
+        here: The same with the clock as it was; None if the logs hardly met.
+        certain: Whether the best lag beats every other peak by a test.
+    """
+
+    lag_s: Seconds
+    explained: float
+    next_best: float
+    here: float | None = None
+    certain: bool
+
+
 class ClockCard(LogClock, frozen=True, kw_only=True):
     """Alignment of a log's clock with its session: t_session = rate * t_log + offset_s.
 
@@ -64,6 +82,7 @@ class ClockCard(LogClock, frozen=True, kw_only=True):
         second_best: Height of the second peak over that of the first; near 1 the fit is ambiguous.
         second_best_s: Distance of the second peak from the first.
         same_as: Id of the recording whose clock this log shares.
+        test: What the logs themselves say about it; None if they say nothing.
         warnings: Limits of the alignment that a user must know.
     """
 
@@ -77,6 +96,7 @@ class ClockCard(LogClock, frozen=True, kw_only=True):
     second_best: Measure | None = None
     second_best_s: Seconds | None = None
     same_as: str | None = None
+    test: ClockTest | None = None
     warnings: tuple[Note, ...] = ()
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.dataset.cards import note
+from cyclekit.derive.log_clocks import with_tested_clocks
 from cyclekit.derive.set_override.mover import STILL, Verdict, mover_of
 from cyclekit.derive.set_override.rows import override_rows
-from cyclekit.derive.slow_down_clocks import with_slow_down_clocks
 from cyclekit.segmentation.standstills import find_standstills
 from cyclekit.text.numbers import fixed
 
@@ -49,7 +49,7 @@ def with_moved_overrides(
     read: Read,
     stored: Stored,
     cell: Cell,
-    coarse: bool,
+    by_logs: bool,
 ) -> MovedOverrides:
     """Return the results of the first pass, with a set override that moves with people as part of the scaling.
 
@@ -61,13 +61,13 @@ def with_moved_overrides(
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns).
         cell: What the cell file says of it.
-        coarse: Align clocks by the slow-downs also where they are not certain.
+        by_logs: Align clocks by the logs also where that is not certain, and against what is stated.
     """
     ends = [one.slider for one in results if one.slider is not None]
     if not ends or max(high for _, high in ends) - min(low for low, _ in ends) <= 2.0 * STILL:
         return MovedOverrides(list(results), [])
     moved = [run.with_hand(*ALWAYS) for one in results for run in one.runs]
-    aligned = with_slow_down_clocks(passes, sessions, moved, sources, read, asked=coarse)
+    aligned = with_tested_clocks(passes, sessions, moved, sources, read, asked=by_logs)
     total_s = sum(run.time_at(run.rows - 1) - run.time_at(0) for run in moved)
     step_s = max(STEP_S, total_s / MAX_ROWS)
     work = [(session, one.runs) for session, one in zip(aligned, results, strict=True)]

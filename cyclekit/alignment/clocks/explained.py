@@ -1,0 +1,226 @@
+"""The lag between two logs at which what one of them shows explains the other best: no frame, distance or identity.
+
+The state of one log is a label at each instant: the cell of the floor where somebody is, or the states of a PLC's
+signals. At the true lag the label tells the robot's level of speed, motion and signals; at any other it tells next to
+nothing. The measure is the likelihood of the levels, each predicted by the mean of all others with the same label.
+Every other lag shows what chance and repetition can do: a lag is certain only if it beats them all, stretch by stretch.
+`response_lag` refines a lag to hundredths of a second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy import fft
+from scipy.special import stdtrit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.schema import Bools, Floats, Ints, Vector
+
+CELL_M = 0.35
+"""Width of a cell of the floor, m: a step. Half and twice of it find the same lags (simulated cells, 5 to 25 min)."""
+STEP_S = 0.5
+"""Time between instants, s: a person crosses a cell in it."""
+CHANCE = 0.01
+"""Level of the test of a lag against each other peak. Half and twice of it decide 2 of 52 simulated pairs otherwise."""
+STRETCHES, STRETCH_S = 20, 10.0
+"""Number of stretches that a lag is tested on, and their minimum length, s: longer than somebody stays in a cell."""
+MIN_S = 60.0
+"""Minimum time that both logs cover at a lag, s."""
+RIVALS = 10
+"""Number of other peaks that a lag is tested against, the highest ones."""
+LEAST = 1e-3
+"""Minimum unexplained share: signals that agree exactly would have an infinite likelihood."""
+_AT_ONCE = 1 << 23
+"""Maximum number of values in one block of transforms: it stays in memory."""
+
+
+class Instants(NamedTuple):
+    """One session on a common grid of instants, in the clocks that are to be tested.
+
+    Attributes:
+        label: State of the log, shape (K, N), a row for each of up to K people at once; negative = unknown.
+        label_at: Number of its first instant.
+        level: Levels of the robot, shape (R, M), a row for each quantity; NaN = unknown.
+        level_at: Number of its first instant.
+    """
+
+    label: Ints
+    label_at: int
+    level: Floats
+    level_at: int
+
+
+@dataclass(frozen=True)
+class FoundLag:
+    """The lag that explains the robot's levels best.
+
+    Attributes:
+        lag_s: Time to be added to the log's, s.
+        explained: Share of the variance that the log explains there.
+        next_best: The same at the best other peak.
+        next_s: That peak, s.
+        here: The same as the clocks are; None if the logs do not cover enough time together.
+        certain: Whether it beats every other peak, stretch by stretch.
+    """
+
+    lag_s: float
+    explained: float
+    next_best: float
+    next_s: float
+    here: float | None
+    certain: bool
+
+
+def cells_of(xy_m: Floats) -> Ints:
+    """Return the number of the floor's cell of each position (..., 2), m, shape (...); -1 = unknown."""
+    cell = np.floor(xy_m / CELL_M)
+    seen = np.isfinite(cell).all(axis=-1)
+    numbers = np.where(seen[..., None], cell, 0.0).astype(np.int64)
+    return np.where(seen, (numbers[..., 0] + 2**20) * 2**21 + numbers[..., 1] + 2**20, -1)
+
+
+def numbered(labels: Sequence[Ints]) -> list[Ints]:
+    """Return labels as numbers from 0, the same in all arrays; negative ones stay."""
+    known = np.unique(np.concatenate([np.empty(0, np.int64), *(label.ravel() for label in labels)]))
+    known = known[known >= 0]
+    return [np.where(label >= 0, np.searchsorted(known, label), -1) for label in labels]
+
+
+def find_lag(sessions: Sequence[Instants], step_s: float = STEP_S) -> FoundLag | None:
+    """Return the best common lag of all sessions, over all lags at which the logs meet; None if there is none.
+
+    Args:
+        sessions: The sessions; their labels mean the same.
+        step_s: Time between instants, s.
+    """
+    labels = numbered([one.label for one in sessions])
+    sessions = [one._replace(label=label) for one, label in zip(sessions, labels, strict=True) if label.size]
+    count = max((int(one.label.max()) + 1 for one in sessions), default=0)
+    if count < 2:
+        return None
+    lags, likelihood, explained = _over_all_lags(sessions, count, round(MIN_S / step_s))
+    if not np.isfinite(likelihood).any():
+        return None
+    best = int(np.argmax(likelihood))
+    rivals = _rivals(likelihood, best)
+    mine = _stretches(sessions, int(lags[best]), count, step_s)
+    certain = len(mine) > 1 and len(rivals) > 0 and likelihood[best] > 0.0
+    for rival in rivals.tolist() if certain else []:
+        better = mine - _stretches(sessions, int(lags[rival]), count, step_s)
+        spread = float(better.std(ddof=1)) / np.sqrt(len(better))
+        certain = certain and bool(better.mean() > stdtrit(len(better) - 1, 1.0 - CHANCE) * spread)
+    here = np.flatnonzero((lags == 0) & np.isfinite(likelihood))
+    other = int(rivals[0]) if len(rivals) else best
+    return FoundLag(
+        float(lags[best]) * step_s,
+        float(explained[best]),
+        float(explained[other]) if len(rivals) else 0.0,
+        float(lags[other]) * step_s,
+        float(explained[here[0]]) if len(here) else None,
+        certain,
+    )
+
+
+def _over_all_lags(sessions: Sequence[Instants], count: int, least: int) -> tuple[Ints, Vector, Vector]:
+    """Return all lags, the log likelihood at each (-inf: too short), and the explained share, by Fourier transforms."""
+    apart = [one.level_at - one.label_at for one in sessions]
+    low = min(by - one.label.shape[1] + 1 for by, one in zip(apart, sessions, strict=True))
+    high = max(by + one.level.shape[1] - 1 for by, one in zip(apart, sessions, strict=True))
+    size = fft.next_fast_len(high - low + 1, real=True)
+    lags = np.arange(low, high + 1)
+    likelihood, unexplained, all_variance = (np.zeros(len(lags)) for _ in range(3))
+    covered = np.zeros(len(lags), bool)
+    for row in range(sessions[0].level.shape[0]):
+        level = [one.level[row] for one in sessions]
+        known = np.concatenate([values[np.isfinite(values)] for values in level])
+        if len(known) == 0 or not (scale := float(known.std())) > 0.0:
+            continue
+        spectra = [_spectra((values - known.mean()) / scale, by, size) for values, by in zip(level, apart, strict=True)]
+        rest, total, squares, rows = (np.zeros(size, np.float32) for _ in range(4))
+        for first in range(0, count, block := max(1, _AT_ONCE // size)):
+            some = range(first, min(first + block, count))
+            n, s, q = (np.zeros((len(some), size), np.float32) for _ in range(3))
+            for one, mine in zip(sessions, spectra, strict=True):
+                is_it = np.zeros((len(some), one.label.shape[1]), np.float32)
+                for slot in one.label:
+                    at = np.flatnonzero((slot >= some.start) & (slot < some.stop))
+                    np.add.at(is_it, (slot[at] - some.start, at), 1.0)
+                shape = np.conj(fft.rfft(is_it, size, axis=1))
+                n, s, q = (
+                    known + fft.irfft(shape * of, size, axis=1) for known, of in zip((n, s, q), mine, strict=True)
+                )
+            n = np.round(n)
+            within = np.maximum(q - s * s / np.maximum(n, 1.0), 0.0) * (n / np.maximum(n - 1.0, 1.0)) ** 2
+            rest += np.where(n > 1.5, within, q).sum(axis=0)
+            total, squares, rows = total + s.sum(axis=0), squares + q.sum(axis=0), rows + n.sum(axis=0)
+        variance = np.maximum(squares - total * total / np.maximum(rows, 1.0), 0.0)
+        enough = (rows >= least) & (variance > LEAST * rows)
+        ratio = np.clip(rest / np.where(enough, variance, 1.0), LEAST, None)
+        gain = np.where(enough, -0.5 * rows * np.log(ratio), 0.0)
+        likelihood += gain[lags % size]
+        unexplained += np.where(enough, rest, 0.0)[lags % size]
+        all_variance += np.where(enough, variance, 0.0)[lags % size]
+        covered |= enough[lags % size]
+    return lags, np.where(covered, likelihood, -np.inf), 1.0 - unexplained / np.where(covered, all_variance, 1.0)
+
+
+def _spectra(level: Vector, by: int, size: int) -> list[Floats]:
+    """Return the transforms of "known", the level and its square, `by` instants later."""
+    known = np.isfinite(level)
+    value = np.where(known, level, 0.0)
+    rows = (np.arange(len(level)) + by) % size
+    found = []
+    for values in (known.astype(float), value, value * value):
+        padded = np.zeros(size, np.float32)
+        padded[rows] = values
+        found.append(fft.rfft(padded))
+    return found
+
+
+def _rivals(likelihood: Vector, best: int) -> Ints:
+    """Return the highest other peaks: those beyond where the likelihood has fallen to half of the best one's."""
+    low = ~(likelihood > 0.5 * likelihood[best])
+    before, after = np.flatnonzero(low[: best + 1]), np.flatnonzero(low[best:])
+    rest = likelihood.copy()
+    rest[int(before[-1]) + 1 if len(before) else 0 : best + int(after[0]) if len(after) else len(rest)] = -np.inf
+    padded = np.concatenate([[-np.inf], rest, [-np.inf]])
+    peaks = np.flatnonzero((rest > -np.inf) & (rest >= padded[:-2]) & (rest > padded[2:]))
+    return np.asarray(peaks[np.argsort(-rest[peaks], kind="stable")][:RIVALS])
+
+
+def _stretches(sessions: Sequence[Instants], lag: int, count: int, step_s: float) -> Vector:
+    """Return the log likelihood of each of some stretches of the log at a lag, shape (S,)."""
+    gain = [np.zeros(one.label.shape[1]) for one in sessions]
+    for row in range(sessions[0].level.shape[0]):
+        pairs = [_met(one, row, lag) for one in sessions]
+        label, level = (np.concatenate([pair[part] for pair in pairs]) for part in (1, 2))
+        if len(level) < 2 or not (variance := float(level.var())) > 0.0:
+            continue
+        n, s = np.bincount(label, minlength=count), np.bincount(label, level, count)
+        alone = n[label] < 2
+        others = np.where(alone, level.mean(), (s[label] - level) / np.maximum(n[label] - 1, 1))
+        left = (level - others) ** 2
+        rest = max(float(left.mean()), LEAST * variance)
+        value = 0.5 * ((level - level.mean()) ** 2 / variance - left / rest + np.log(variance / rest))
+        ends = np.cumsum([len(pair[0]) for pair in pairs])[:-1]
+        for mine, pair, values in zip(gain, pairs, np.split(value, ends), strict=True):
+            np.add.at(mine, pair[0], values)
+    every = np.concatenate(gain)
+    stretches = min(STRETCHES, int(len(every) * step_s / STRETCH_S))
+    return np.array([part.sum() for part in np.array_split(every, stretches)]) if stretches else np.empty(0)
+
+
+def _met(one: Instants, row: int, lag: int) -> tuple[Ints, Ints, Vector]:
+    """Return instant of the log, label and level wherever both are known at a lag, shape (N,) each."""
+    slot, at = np.nonzero(one.label >= 0)
+    there = at + one.label_at + lag - one.level_at
+    inside: Bools = (there >= 0) & (there < one.level.shape[1])
+    slot, at, there = slot[inside], at[inside], there[inside]
+    level = one.level[row][there]
+    known = np.isfinite(level)
+    return at[known], one.label[slot[known], at[known]], level[known]

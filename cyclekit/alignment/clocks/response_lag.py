@@ -1,8 +1,8 @@
 """A lag refined to hundredths of a second, with its drift: the level asked for by where people are, as it is followed.
 
 The robot is slowed at once and recovers slowly, so its level alone is late by seconds. Here the level asked for at each
-place is followed at the rates at which the robot's level falls and rises, and compared with the logged one around its
-falls. A constant reaction time cannot be told from the clock: it stays part of the lag.
+place is followed at the rates at which the robot's level falls and rises, and compared with the logged one. A constant
+reaction time cannot be told from the clock: it stays part of the lag.
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ from cyclekit.alignment.clocks.explained import CHANCE
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.schema import Bools, Floats, Ints, Vector
+    from cyclekit.schema import Floats, Ints, Vector
 
 FINE_S, AROUND_S = 0.05, 3.0
 """Step of the search, s, which a parabola refines, and its reach around the found lag, s: a slow recovery moves that by
 up to 2 s."""
 WINDOWS, WINDOW_S = 20, 180.0
 """Number of windows of the log that are compared, and their maximum length, s: an hour tells enough."""
-FALL, NEAR_S = 0.02, 1.0
-"""Fall of the level within FINE_S that counts, the resolution of logged levels; time around it that is compared, s."""
 MOVES, HALF_S, SHORT_S = 0.012, 0.2, 0.6
 """The level changes where it differs by more than MOVES from HALF_S before to HALF_S after; in a longer change than
 SHORT_S, s, the level asked for is unknown."""
@@ -64,8 +62,8 @@ def refine_lag(sessions: Sequence[PlacesAndLevel], lag_s: float) -> RefinedLag |
     """Return the refined lag near `lag_s`; None if the level never changes where the logs meet."""
     reach = round(AROUND_S / FINE_S)
     lags = round(lag_s / FINE_S) + np.arange(-reach, reach + 1)
-    windows = [window for one in sessions for window in _windows(one, lags)]
-    some = windows[:: max(1, -(-len(windows) // WINDOWS))]
+    windows = [window for one in sessions for window in _windows(one, lags, -(-WINDOWS // len(sessions)))]
+    some = windows[:: max(1, len(windows) // WINDOWS)]
     if not some:
         return None
     rates = _rates([window.level for window in some])
@@ -97,14 +95,14 @@ class _Window(NamedTuple):
     at_s: float
 
 
-def _windows(one: PlacesAndLevel, lags: Ints) -> list[_Window]:
-    """Return the windows of a session in which people are logged at all lags."""
+def _windows(one: PlacesAndLevel, lags: Ints, count: int) -> list[_Window]:
+    """Return some windows of a session in which people are logged at all lags."""
     first = max(one.robot_at, one.people_at + int(lags[-1]))
     end = min(one.robot_at + len(one.level), one.people_at + one.people.shape[1] + int(lags[0]))
-    length = min(round(WINDOW_S / FINE_S), max(end - first, 0))
-    if length < 2 or length * FINE_S < 2 * NEAR_S:
+    length = min(round(WINDOW_S / FINE_S), max(end - first, 0) // count)
+    if length * FINE_S < SHORT_S:
         return []
-    begins = np.linspace(first, end - length, max(1, min(WINDOWS, (end - first) // length))).astype(int)
+    begins = np.linspace(first, end - length, count).astype(int)
     found = []
     for begin in begins.tolist():
         rows = begin + np.arange(length)
@@ -173,19 +171,14 @@ def _rates(levels: Sequence[Vector]) -> tuple[float, float]:
 
 
 def _misfits(window: _Window, asked: Floats, rates: tuple[float, float]) -> Vector:
-    """Return the summed squared differences around falls between logged and followed level, shape (L,)."""
-    level, near = window.level, round(NEAR_S / FINE_S)
-    now = np.full(len(asked), level[np.isfinite(level)][0] if np.isfinite(level).any() else 1.0)
+    """Return the summed squared differences between the logged and the followed level, shape (L,)."""
+    known = np.isfinite(window.level)
+    now = np.full(len(asked), window.level[known][0] if known.any() else 1.0)
     followed = np.empty_like(asked)
-    for row in range(len(level)):
+    for row in range(len(window.level)):
         now = now + np.clip(asked[:, row] - now, -rates[0], rates[1])
         followed[:, row] = now
-    falls = np.flatnonzero(np.diff(level) < -FALL)
-    compared: Bools = np.zeros(len(level), bool)
-    for row in falls.tolist():
-        compared[max(row - near, 0) : row + near] = True
-    compared &= np.isfinite(level)
-    return np.asarray(((followed[:, compared] - level[compared]) ** 2).sum(axis=1))
+    return np.asarray(((followed[:, known] - window.level[known]) ** 2).sum(axis=1))
 
 
 def _along(wrong: Floats, shifts: Vector) -> Floats:

@@ -147,7 +147,8 @@ def _overlap(one: Span, other: Span) -> float:
 
 def _duration(time_s: float) -> str:
     """Return a time in the two largest units, with "later" or "earlier"."""
-    left, parts = abs(time_s), []
+    left = abs(time_s)
+    parts: list[str] = []
     for unit, size_s in (("years", 365.25 * DAY_S), ("d", DAY_S), ("h", 3600.0), ("min", 60.0), ("s", 1.0)):
         count = int(left // size_s) if unit != "s" else round(left)
         left -= count * size_s

@@ -132,7 +132,7 @@ def listed_conditions(cell: Coupled) -> list[dict[str, object]]:
     """Return which task waits for the end of which other task, as JSON; `part` = for a part that comes by itself."""
     scripts = _scripts(cell, _every_job(cell))
     tasks = {agent: tasks_of(cell, agent, scripts[agent]) for agent in scripts}
-    found = []
+    found: list[dict[str, object]] = []
     for gate in cell.gates:
         at = next(segment for segment, other, _ in scripts[gate.agent].gates if other is gate)
         waiting, needed = next(task.name for task in tasks[gate.agent] if task.first > at), PART

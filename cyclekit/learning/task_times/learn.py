@@ -29,6 +29,7 @@ from cyclekit.parallel.one_thread import one_thread
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Ints, Progress, Vector
 
@@ -117,7 +118,8 @@ def learn_runs(
         progress: Called with the share done.
     """
     tell = progress or (lambda _fraction, _text: None)
-    agents = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
+    kinds: dict[str, Agent] = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
+    agents = kinds
     told = {agent: [wait for wait in given if wait.agent == kind] for agent, kind in agents.items()}
     runs, clocks = in_one_clock(runs, agents, told)
     cut = () if clocks else cut
@@ -135,7 +137,7 @@ def learn_runs(
     if judged is not None and judged.order_error > 0.0 and any(one.needs for one in model.tasks):
         never = {
             agent: [Wait(agent=kind, task=one.task, never=True) for one in model.tasks if one.agent == agent]
-            for agent, kind in agents.items()
+            for agent, kind in kinds.items()
         }
         of_none, other = judge(never)
         if of_none is not None and (said := unproven(off, other)):

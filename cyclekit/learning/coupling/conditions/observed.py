@@ -72,7 +72,7 @@ def own_work(found: Departures, stays_s: Vector, decided: Bools) -> tuple[float,
         decided: Whether own work decided it, shape (N,).
     """
     if found.since_s or not len(found.stayed_s):
-        return distribution(stays_s, decided * 1.0)
+        return distribution(stays_s, decided.astype(np.float64))
     stays_s = stays_s[np.isfinite(stays_s)]
     cut = np.repeat([False, True], [len(stays_s), len(found.stayed_s)])
     whole_s = as_whole(np.append(stays_s, found.stayed_s), cut)

@@ -14,7 +14,7 @@ from reliability.own_logs import own_logs
 from cyclekit.adapter import ReadOptions, Recording, concat_parts
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit.ingest.registry import find_adapter
-from cyclekit_adapters.formats import codesys_trace, task_list
+from cyclekit_adapters.formats import azure_kinect, codesys_trace, task_list
 from cyclekit_adapters.tasks import xes
 from cyclekit_adapters.text.text_layout import MAX_COLUMNS, header_names
 
@@ -86,8 +86,10 @@ def test_lists_too_long_for_the_memory_are_refused_before_they_fill_it(tmp_path:
     monkeypatch.setattr(task_list, "MAX_TASKS", 10)
     monkeypatch.setattr(codesys_trace, "MAX_SAMPLES", 10)
     monkeypatch.setattr(xes, "_MAX_HELD", 1000)
+    monkeypatch.setattr(azure_kinect, "MAX_BODIES", 10)
     rows = "".join(f"{n},ur5,t,{n}.0,{n}.5\n" for n in range(11))
-    for raw in (f"run,agent,task,start_s,end_s\n{rows}".encode(), never_ended(9), variables(6)):
+    kinect = next(log for log in own_logs(tmp_path) if log.name == "azure kinect").files["log.txt"]
+    for raw in (f"run,agent,task,start_s,end_s\n{rows}".encode(), never_ended(9), variables(6), kinect):
         with pytest.raises(DamagedLog, match="more than"):
             read(tmp_path / "a.log", raw)
 

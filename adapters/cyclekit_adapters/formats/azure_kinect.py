@@ -45,6 +45,8 @@ _SDK = (
     *("HEAD", "NOSE", "EYE_LEFT", "EAR_LEFT", "EYE_RIGHT", "EAR_RIGHT"),
 )
 """Joints in the order of the SDK."""
+MAX_BODIES = 1_000_000
+"""Maximum number of bodies, a size: they are held in memory as a whole, about a gigabyte (nine hours of one person)."""
 _OBJECT = re.compile(r"\s*\{")
 
 
@@ -112,6 +114,9 @@ def _dump(path: Path) -> tuple[_Dump, list[str]]:
             if key == "frames":
                 _take_frame(dump, value)
                 dump.frames += 1
+                if len(dump.bodies) > MAX_BODIES:
+                    cause = f"more than {MAX_BODIES:,} bodies, too many for the memory"
+                    raise DamagedLog(path, cause, cure="Divide the recording.")
             elif key == "joint_names" and isinstance(value, list):
                 dump.names = [str(name) for name in value]
             elif isinstance(value, str):

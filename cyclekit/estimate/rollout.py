@@ -100,6 +100,8 @@ def estimate(
         EstimateError: A task was never logged, there is no operator track, or the support is too low.
     """
     dataset.require_positions()
+    if short := [each for each in sequences if len(each.places) < 2]:
+        raise EstimateError(f"{short[0].shown}: fewer than two places", cure="Name the start, then each goal.")
     refuse_unknown_mover(dataset)
     chosen = _chosen(model, estimator)
     model = on_states_of(model, dataset)

@@ -8,21 +8,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fabricated import fabricate_dataset
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from known_cells import TrueStaircase
 from msgspec import inspect
 
 from cyclekit.api.ingest import ingest_logs
 from cyclekit.config import Cell, load_cell
 from cyclekit.config.project import Project
-from cyclekit.config.sequences import load_sequences
+from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.dataset.cards import BadCard, checked
 from cyclekit.dataset.cards.coupling import CouplingCard
 from cyclekit.dataset.cards.dataset import DynamicsCard
 from cyclekit.dataset.cards.quantities import Card
 from cyclekit.dataset.cards.rule import RuleCard
 from cyclekit.dataset.cards.task_model import TaskModelCard
-from cyclekit.errors import ConfigError
+from cyclekit.errors import ConfigError, EstimateError
+from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.whatif.change import load_changes
 from cyclekit.fleet.read import FleetCell, load_fleet
 from cyclekit.text.durations import seconds_in
@@ -287,3 +290,10 @@ def test_waits_of_the_cell_file_in_a_circle_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=re.escape(circle)) as caught:
         ingest_logs(logs, tmp_path / "dataset")
     assert "back = 1" in caught.value.cure
+
+
+@pytest.mark.parametrize("places", [(), ("home",)])
+def test_a_sequence_without_a_task_is_refused(places: tuple[str, ...], tmp_path: Path) -> None:
+    logged = fabricate_dataset(tmp_path / "dataset", executions=2, rounds=1)
+    with pytest.raises(EstimateError, match="fewer than two places"):
+        estimate(TrueStaircase(), logged, [TaskSequence("empty", places)], other_cell=True)

@@ -53,7 +53,7 @@ MAX_EXCESS = 1.5
 BLEND_S = 1.0
 """Time over which the jump between two tracks is smoothed, s; at most the length of the shortest stretch."""
 EVEN = 1e-6
-"""Units by which equally similar stretches differ, so that another end takes others of them."""
+"""Units by which equally similar stretches differ, so that another end takes others of them; of no other effect."""
 AT_ONCE = 2_000_000
 """Maximum number of differences between states in memory at once."""
 

@@ -30,6 +30,7 @@ TIME_UNITS = {"s", "ms", "us", "ns"}
 TIME = {
     *("time", "times", "timestamp", "timestamps", "stamp", "ts", "tm", "clock", "elapsed", "timer", "tick"),
     *("ticks", "ipoc", "zeit", "zeitstempel", "uhrzeit", "epoch", "datetime", "date", "datum", "when", "utc"),
+    *("datenum", "filetime", "gps", "ipo"),
 }
 COUNTS = {"frame", "frames", "index", "idx", "row", "sample", "samples", "count", "counter", "seq", "nr", "no", "line"}
 PLACE = {"tcp", "tool", "ee", "eef", "effector", "endeffector", "flange", "pose", "cartesian", "cart", "rist"}

@@ -342,7 +342,7 @@ def _unlikely(unit: Unit, step: float) -> tuple[bool, bool, int]:
 
 def _why(left: Sequence[Unit], step: float, evidence: TimeEvidence, excluded: dict[str, str]) -> str:
     if len(left) == 1 and left[0].zero_s is not None:
-        return f"{_key(left[0])}, by its size{_beside(evidence)}"
+        return f"{_key(left[0]) if left[0].zero_s == 0.0 else left[0].said}, by its size{_beside(evidence)}"
     if not step:
         return "its rows do not tell"
     order = [unit for unit in sorted(left, key=lambda unit: _unlikely(unit, step)) if unit.name != FRAME]

@@ -79,7 +79,7 @@ class _MappedCsv:
             cure = 'Map it in cell.toml (time = "..."), or give rate_hz = ... if the rows have a fixed rate.'
             raise MissingColumns(path, ["time"], names, f"{self._may_be(path)}{cure}")
         cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(names)}
-        times = mapped_times(path, mapping, cells, options.rate_hz, role)
+        times = mapped_times(path, mapping, cells, options.rate_hz)
         clock = cast("ClockKind", mapping.clock or times.clock(mapping.time_zone))
         repeats, seen, back = RepeatFilter(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
         events, hour = StateChanges(mapping.names), LocalClock(mapping.time_zone, times.pattern)

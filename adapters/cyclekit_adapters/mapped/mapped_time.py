@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
-from cyclekit_adapters.mapped.csv_map import METRES, CsvMap
+from cyclekit_adapters.mapped.csv_map import CsvMap
 from cyclekit_adapters.times.proof import TimeEvidence, contradicted, dated_unit, file_date, prove
 from cyclekit_adapters.times.row_times import T_S, TimeColumn
 from cyclekit_adapters.times.units import COUNTED, EARLIEST_S, FRAME, LATEST_S, Unit, unit_in_name, unit_named
@@ -22,16 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cyclekit.adapter import Role
     from cyclekit_adapters.times.proof import Vector
 
-_FEW = 10
-"""Number of rows below which seconds, the default, are not doubted; twice of it changes no test."""
 
-
-def mapped_times(
-    path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]], rate_hz: float | None, role: Role
-) -> TimeColumn:
+def mapped_times(path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]], rate_hz: float | None) -> TimeColumn:
     """Return how the times of a table are read.
 
     Args:
@@ -39,10 +32,9 @@ def mapped_times(
         mapping: Its map.
         cells: Cells of the first rows, by column.
         rate_hz: Rate of its rows or frames.
-        role: What it describes.
 
     Raises:
-        LogError: The first rows contradict the unit, or none is given and "s" does not fit.
+        LogError: The first rows contradict the unit, or none is given and they leave several.
     """
     if mapping.time_format is not None:
         first = [" ".join(row).strip() for row in zip(*(cells.get(name, ()) for name in mapping.time), strict=False)]
@@ -58,14 +50,14 @@ def mapped_times(
     units = tuple(unit for text in mapping.time_unit if (unit := unit_named(text)))
     why = ", ".join(unit.said for unit in units) + ", from the cell file"
     if len(mapping.time) == 1:
-        units, why = _of_one(path, mapping, cells, units, role)
+        units, why = _of_one(path, mapping, cells, units)
     if mapping.clock == "epoch" and units[0].zero_s is None:
         units = (units[0].since_1970(), *units[1:])
     return TimeColumn(mapping.time, "", units, why)
 
 
 def _of_one(
-    path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]], given: tuple[Unit, ...], role: Role
+    path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]], given: tuple[Unit, ...]
 ) -> tuple[tuple[Unit, ...], str]:
     """Return the unit of a single column of numbers, and the evidence for it."""
     column = mapping.time[0]
@@ -79,17 +71,14 @@ def _of_one(
         return given, f"{given[0].said}, from the cell file"
     if given or not len(values):
         return given or (COUNTED["s"],), "s, the default"
-    named, path_m = unit_in_name(column), _path(cells, mapping)
-    of = role if role in ("robot", "people") and path_m is not None and len(path_m) == len(values) else None
-    evidence = TimeEvidence(column, named, others, path_m if of else None, of, file_date(path))
-    proof = prove(values, evidence)
-    seconds = [unit for unit in proof.left if unit.name == "s" and unit.zero_s is None]
+    named = unit_in_name(column)
+    proof = prove(values, TimeEvidence(column, named, others, before_s=file_date(path)))
     if proof.unit and (named or proof.unit.zero_s is not None or others):
         return (proof.unit,), proof.why
-    if seconds or len(values) < _FEW:
+    if not others and not (named and proof.contradiction):
         return (COUNTED["s"],), "s, the default"
     cure = 'Give it in [sources.map] of the cell file: time_unit = "ms", for example.'
-    cause = f"no time_unit is given for column {column!r}, and the default, s, does not fit: {proof.question}"
+    cause = f"no time_unit is given for column {column!r}, and {proof.question}"
     raise LogError(path, cause, cure=cure)
 
 
@@ -113,14 +102,6 @@ def _other_times(cells: Mapping[str, Sequence[str]], mapping: CsvMap) -> list[tu
             seconds = when.cast(pl.Float64).fill_null(float("nan")).to_numpy()
             found.append((name, seconds, is_dated(forms[0])))
     return found
-
-
-def _path(cells: Mapping[str, Sequence[str]], mapping: CsvMap) -> Vector | None:
-    """Return the positions of the first rows, shape (N, D), m; None if none are mapped, or of several persons."""
-    columns = [cells[name] for name in mapping.places().values() if name in cells]
-    if len(columns) < 2 or mapping.person:
-        return None
-    return np.stack([_numbers(column, mapping) for column in columns], axis=1) * METRES[mapping.length_unit]
 
 
 def require_epoch(path: Path, frame: pl.DataFrame, times: TimeColumn) -> None:

@@ -69,8 +69,8 @@ OWN_BIAS = 0.01
 ALARMING_BIAS = 0.03
 """Minimum bias at which a number cannot be trusted although it is corrected, as a share of the duration."""
 SURE = 3.0
-"""Threshold, standard errors: a larger bias is significant, and so is a lack of coverage. A statistical level: at half of
-it two of twelve simulated cells are called red for their coverage, at twice none, as now."""
+"""Threshold, standard errors: a larger bias is significant, and so is a lack of coverage. A statistical level: at half
+of it two of twelve simulated cells are called red for their coverage, at twice none, as now."""
 LOOK = "clocks, frames and unknown causes in cyclekit inspect DATASET"
 """Where to look for the cause of a bias."""
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 MARK = "written by cyclekit"
 """Comment in the workbook's properties, by which `guard` recognises it before it is replaced."""
+SHOWN, LEAST = "0.000", 0.0005
+"""How a cell shows a number that is not whole, and the least part of one that this shows; it holds every digit."""
 LONGEST = 32_767
 """Maximum length of a text in a cell of Excel, characters."""
 
@@ -42,6 +44,7 @@ def write_workbook(file: Path, sheets: Mapping[str, Rows]) -> None:
         book = Workbook(str(temporary), {"in_memory": True})
         book.set_properties({"comments": MARK})
         looks = {"head": book.add_format({"bold": True}), "quoted": book.add_format({"quote_prefix": True})}
+        looks["number"] = book.add_format({"num_format": SHOWN})
         for name, rows in sheets.items():
             sheet = book.add_worksheet(name)
             for at, row in enumerate(rows):
@@ -58,7 +61,8 @@ def _write(sheet: Any, row: int, column: int, value: object, looks: Mapping[str,
         sheet.write_boolean(row, column, value)
     elif isinstance(value, Real):
         if math.isfinite(value):
-            sheet.write_number(row, column, value)
+            shown = looks["number"] if abs(float(value) % 1.0 - 0.5) <= 0.5 - LEAST else None
+            sheet.write_number(row, column, value, shown)
     elif value is not None:
         text = one_line(str(value))[:LONGEST]
         sheet.write_string(row, column, text, looks["quoted"] if is_formula(text) else head)

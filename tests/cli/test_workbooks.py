@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 import zipfile
 from pathlib import Path
@@ -51,6 +52,16 @@ def test_a_text_is_never_a_formula_a_link_or_a_number(tmp_path: Path) -> None:
         assert not any("externalLink" in name or "vba" in name for name in packed.namelist())
     read = [row["what"] for row in rows_of(file, "answer")]
     assert read == [text.replace("\t", "\\t") for text in EVIL]
+
+
+def test_a_number_shows_three_decimals_and_holds_them_all(tmp_path: Path) -> None:
+    file = tmp_path / "x.xlsx"
+    write_workbook(file, {"answer": [["s"], [94.44398712345], [40], [95.0], [-0.00001]]})
+    assert [row["s"] for row in rows_of(file, "answer")] == [94.44398712345, 40, 95.0, -0.00001]
+    with zipfile.ZipFile(file) as packed:
+        assert 'formatCode="0.000"' in packed.read("xl/styles.xml").decode()
+        cells = re.findall(r'<c r="A\d"( s="\d")?><v>', packed.read("xl/worksheets/sheet1.xml").decode())
+    assert [bool(cell) for cell in cells] == [True, False, False, False]
 
 
 VALUES = st.one_of(st.floats(), st.integers(-(2**50), 2**50), st.booleans(), st.text(max_size=30))

@@ -62,7 +62,7 @@ from cyclekit.storage.atomic import built, clean_up, locked, needs_clean_up, wri
 from cyclekit.storage.parquet import StoredTable
 from cyclekit.storage.remote.cache import cached, of_file_url
 from cyclekit.storage.remote.folders import is_url, mirrored, published
-from cyclekit.text.numbers import given
+from cyclekit.text.numbers import given, percent
 from cyclekit.text.plain_json import finite
 
 if TYPE_CHECKING:
@@ -295,7 +295,8 @@ def _with_waits(derived: Derived, read: Read, stored: Stored, cell: Cell) -> tup
     if share := several_people(derived.recordings):
         if cell.waits:
             msg = (
-                f"cell.toml [[waits]]: in {share:.0%} of the samples with people several are seen at once, who are "
+                f"cell.toml [[waits]]: in {percent(share)} of the samples with people several are seen at "
+                "once, who are "
                 "taken for one, so it is not known whose visits end these waits"
             )
             raise ConfigError(msg, cure="Keep one person's track in the logs, or leave [[waits]] out.")

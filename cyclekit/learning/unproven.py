@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from cyclekit.dataset.cards.notes import UNPROVEN, note
+from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -46,6 +47,7 @@ def unproven(with_waits: Mapping[str, float], without: Mapping[str, float]) -> N
     scatter, other = np.sqrt(squares.mean(axis=1)).tolist()
     text = (
         f"what was learned on who waits for whom is not used: {len(names)} logged executions are off by "
-        f"{scatter:.1%} from their rollouts with these waits, and by {other:.1%} with waits as a part of the work"
+        f"{percent(scatter, 1)} from their rollouts with these waits, and by {percent(other, 1)} with waits "
+        "as a part of the work"
     )
     return note(UNPROVEN, text=text)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 
+from cyclekit.text.numbers import given
+
 LONGEST_S = 1e7
 """Longest duration, s: four months, a limit of what can be a cycle or a takt time."""
 _UNITS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
@@ -29,6 +31,6 @@ def seconds_in(text: str) -> float:
             raise ValueError(msg)
         total, last, at = total + float(part[1]) * unit, unit, part.end()
     if not 0 < total <= LONGEST_S:
-        msg = f"{text!r} is not a positive duration of at most {LONGEST_S:g} s"
+        msg = f"{text!r} is not a positive duration of at most {given(LONGEST_S)} s"
         raise ValueError(msg)
     return total

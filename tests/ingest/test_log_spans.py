@@ -57,8 +57,8 @@ def told(log: RecordingCard) -> list[str]:
         (-16200.0 + 8.0, "4 h 30 min earlier; another time zone?", "clock_offset_s = 16200 "),
         (YEARS_66_S, "66 years 0 d later; counts since 1904 (LabVIEW)?", "clock_offset_s = -2082844800 "),
         (YEARS_66_S + 3600.0, "counts since 1904 (LabVIEW) and another time zone?", "clock_offset_s = -2082848400 "),
-        (500.0, "100% of the shorter log lies outside the other, and it is 8 min 20 s later", 'align_clocks = "logs"'),
-        (55.0, "92% of the shorter log lies outside the other, and it is 55 s later", 'align_clocks = "logs"'),
+        (500.0, "100 % of the shorter log lies outside the other, and it is 8 min 20 s later", 'align_clocks = "logs"'),
+        (55.0, "92 % of the shorter log lies outside the other, and it is 55 s later", 'align_clocks = "logs"'),
     ],
 )
 def test_a_log_that_hardly_overlaps_the_robot_s_is_named_with_the_line(

@@ -51,7 +51,7 @@ def test_waits_of_the_cell_file_are_refused_where_it_is_not_known_whose_they_are
     simulate("two-operators", tmp_path / "logs", executions=2, seed=3)
     with (tmp_path / "logs" / "cell.toml").open("a", encoding="utf-8") as file:
         file.write('\n[[waits]]\nagent = "robot"\nbefore = "fixture"\nuntil = "operator leaves fixture"\n')
-    with pytest.raises(ConfigError, match=r"\[\[waits\]\]: in 100% of the samples with people several are seen"):
+    with pytest.raises(ConfigError, match=r"\[\[waits\]\]: in 100 % of the samples with people several are seen"):
         ingest([tmp_path / "logs"], tmp_path / "dataset")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from msgspec import field
 
 from cyclekit.dataset.cards.quantities import Card
-from cyclekit.text.numbers import by_spec, fixed, percent, signed
+from cyclekit.text.numbers import by_spec, compact, fixed, percent, signed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -139,20 +139,22 @@ def _in_first_part(values: Mapping[str, Value]) -> str:
 def _clock_apart(values: Mapping[str, Value]) -> str:
     cure = 'give clock_offset_s, or align_clocks = "logs", in cell.toml'
     if "offset_s" in values:
-        cure = f"{values['cause']}? Then give clock_offset_s = {float(values['offset_s']):.10g} in cell.toml"
+        cure = f"{values['cause']}? Then give clock_offset_s = {compact(float(values['offset_s']), 10)} in cell.toml"
     return (
-        f"hardly overlaps {values['robot']}: {float(values['outside']):.0%} of the shorter log lies outside the other, "
+        f"hardly overlaps {values['robot']}: {percent(float(values['outside']))} of the shorter log lies "
+        "outside the other, "
         f"and it is {values['late']}; {cure}"
     )
 
 
 def _clock_contradicted(values: Mapping[str, Value]) -> str:
-    here = f", and {float(values['here']):.0%} as it is" if "here" in values else ""
-    rate = f", clock_rate = {float(values['rate']):.6f}" if "rate" in values else ""
+    here = f", and {percent(float(values['here']))} as it is" if "here" in values else ""
+    rate = f", clock_rate = {fixed(float(values['rate']), 6)}" if "rate" in values else ""
     return (
-        f"its clock is wrong: {float(values['lag_s']):+.2f} s would let the place of people explain "
-        f"{float(values['explained']):.0%} of the robot's speed level (next best {float(values['next_best']):.0%}"
-        f'{here}); give clock_offset_s = {float(values["offset_s"]):.2f}{rate}, or align_clocks = "logs", in cell.toml'
+        f"its clock is wrong: {signed(float(values['lag_s']), 2)} s would let the place of people explain "
+        f"{percent(float(values['explained']))} of the robot's speed level (next best "
+        f"{percent(float(values['next_best']))}"
+        f'{here}); give clock_offset_s = {fixed(float(values["offset_s"]), 2)}{rate}, or align_clocks = "logs", in cell.toml'
     )
 
 

@@ -154,7 +154,8 @@ def _clock_contradicted(values: Mapping[str, Value]) -> str:
         f"its clock is wrong: {signed(float(values['lag_s']), 2)} s would let the place of people explain "
         f"{percent(float(values['explained']))} of the robot's speed level (next best "
         f"{percent(float(values['next_best']))}"
-        f'{here}); give clock_offset_s = {fixed(float(values["offset_s"]), 2)}{rate}, or align_clocks = "logs", in cell.toml'
+        f"{here}); give clock_offset_s = {fixed(float(values['offset_s']), 2)}{rate}, "
+        'or align_clocks = "logs", in cell.toml'
     )
 
 

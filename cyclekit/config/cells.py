@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 Role = Literal["robot", "people", "events", "tasks"]
-Mover = Literal["people", "hand"]
+Mover = Literal["people", "program", "hand"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
 AlignClocks = Literal["logs"]
 """How clocks are aligned: `logs` = by what the logs themselves show, also in doubt and against what is stated."""
@@ -234,8 +234,8 @@ class Cell:
         rate_hz: Rate of the samples.
         all_places_named: Whether the named places are the only ones; then no others are searched for.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
-        set_override: Who moves the override that is set (speed slider): a program with "people", or a "hand"; None =
-            found in the logs.
+        set_override: Who moves the override that is set (speed slider): a program with "people", the "program" by the
+            robot's position, or a "hand"; None = found in the logs.
         robot: The arm, to compute the TCP from joint angles if it is not logged.
         operator_signals: Signals that show people; empty: without a tracker, they are found in the logs.
         waits: Wait conditions, in addition to those found in the logs.

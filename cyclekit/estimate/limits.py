@@ -175,7 +175,7 @@ def refuse_unknown_mover(dataset: Dataset) -> None:
     """
     for one in dataset.card.warnings:
         if one.code == "override-unknown":
-            cure = 'Set set_override = "people" or "hand" in cell.toml and ingest again.'
+            cure = 'Set set_override = "people", "program" or "hand" in cell.toml and ingest again.'
             raise EstimateError(f"{dataset.path}: {one.text}", cure=cure)
 
 

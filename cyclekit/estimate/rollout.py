@@ -46,7 +46,7 @@ from cyclekit.estimate.validation.means import (
     order_effect_for,
     visit_effect_for,
 )
-from cyclekit.estimate.validation.question import Altered, Question
+from cyclekit.estimate.validation.question import LAID_OUT, ROLLED, VALIDATED, Altered, Question
 from cyclekit.learning.networks.cell import refuse_other_cell, trained_on
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.engine import LOCAL, Engine
@@ -144,6 +144,7 @@ def _estimate_robot(
     programs = _laid_out(sequences, nominal, dataset, refuse)
     if not programs:
         return []
+    tell(LAID_OUT, "validating on logged executions")
     unknown = ""
     if isinstance(check, JointCheck):  # the bias of another kind of rollout
         check = None
@@ -157,10 +158,14 @@ def _estimate_robot(
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     shown = dataset if ESTIMATORS[chosen].needs is not None else None
     effect, visits = order_effect_for(ask), visit_effect_for(ask)
+
+    def rolling(fraction: float, text: str) -> None:
+        tell(VALIDATED + (ROLLED - VALIDATED) * fraction, text)
+
     found: list[Unranked] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
         some = {sequence: program for sequence, program in programs.items() if sequence.operator == operator}
-        mine, rolled, tracks = _answered(ask, some, tell, refuse)
+        mine, rolled, tracks = _answered(ask, some, rolling, refuse)
         if not mine:
             continue
         weights = _weights(ask, rolled[0], tracks)
@@ -180,6 +185,7 @@ def _estimate_robot(
             mine_alone = (*of_work, *limits_of_cycles(cycles))
             entry = replace(entry, findings=findings, limits=(*mine_alone, *limits))
             found.append(Unranked(entry, mean.resampled_s, last=not cycles.simulated))
+            tell(ROLLED + (1.0 - ROLLED) * len(found) / len(programs), sequence.name)
     tell(1.0, "done")
     return found
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 MIN_LATENCY_S = 0.03
 """Minimum reaction time, s, that exceeds its own error."""
-OF_LOGS = {"frame-assumed", "frame-doubtful", "override-moved", "override-unknown"}
+OF_LOGS = {"frame-assumed", "frame-doubtful", "override-moved", "override-of-program", "override-unknown"}
 """Codes of notes of the dataset on what a model learns from: distances, and a set override."""
 
 

@@ -32,6 +32,7 @@ class MixedCauses:
         slider_share: Share of these executions.
         slider_every: A hand sets the slider anew, from `slider` to 1, before every so many executions; 0: see above.
         slider_turns_per_hour: Likewise, at random times of a run; it begins at 1.
+        slider_goals: The program sets the slider on its way to these places and at them, in every execution.
         reduced: Cap of the scaling while digital input 2 is on, in (0, 1).
         reduced_per_hour, reduced_s: Frequency and duration range of the reduced mode.
         limit: Cap of the scaling on one stretch of every move away from the conveyor, in (0, 1).
@@ -46,6 +47,7 @@ class MixedCauses:
     slider_share: float = 0.2
     slider_every: int = 0
     slider_turns_per_hour: float = 0.0
+    slider_goals: tuple[str, ...] = ()
     reduced: float | None = 0.35
     reduced_per_hour: float = 12.0
     reduced_s: tuple[float, float] = (15.0, 45.0)
@@ -94,7 +96,9 @@ class Slowing:
                     _set_by_hand(causes, max(e, 0) // causes.slider_every) for e in program.execution
                 ]
             self._turns.append(_turns(rng, causes, until_s))
-            if causes.slider is not None and not by_hand:
+            if causes.slider is not None and causes.slider_goals:
+                self._slider[b, :count][np.isin(program.goals, causes.slider_goals)] = causes.slider
+            elif causes.slider is not None and not by_hand:
                 low = {e.index for e in program.executions if rng.random() < causes.slider_share}
                 self._slider[b, :count][np.isin(program.execution, list(low))] = causes.slider
             if causes.limit is not None:

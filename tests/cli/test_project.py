@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ingested import without_checksums
 
 from cyclekit.api.gate import GateVerdict
 from cyclekit.config.project import Project, load_project, project_to_toml
@@ -360,6 +362,19 @@ def test_the_gate_ends_with_2_where_it_cannot_tell(
 ) -> None:
     assert cyclekit("gate", model, sequences, "--dataset", dataset, "--no-check", *words).code == 2
     assert cyclekit("gate", tmp_path / "none", sequences, "--dataset", dataset, "--takt", "9s").code == 2
+
+
+def test_the_gate_cannot_tell_where_nothing_shows_who_moves_the_slider(
+    begun: Path, sequences: Path, cyclekit: Shell
+) -> None:
+    file = without_checksums(begun / "dataset") / "dataset.json"
+    card = json.loads(file.read_text(encoding="utf-8"))
+    values = {"turns": 40, "hours": 1.0, "sliders": "", "share": 0.3}
+    card["warnings"].append({"code": "override-unknown", "values": values})
+    file.write_text(json.dumps(card), encoding="utf-8")
+    told = cyclekit("gate", sequences, "--takt", "1h", "--share", "0.01", "--confidence", "0.5")
+    assert told.code == 2
+    assert 'set_override = "people"' in told.err
 
 
 def judged(takt_s: float, *findings: Finding, confidence: float = 0.95, executions: int = 100) -> GateVerdict:

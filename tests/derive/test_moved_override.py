@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import polars as pl
 import pytest
 
 from cyclekit.dataset.dataset import Dataset
@@ -62,6 +64,32 @@ def test_a_slider_that_a_hand_turns_is_none(cells: Cells, scene: str, causes: Mi
     assert lost == pytest.approx(found.tasks["lost_slider_s"].sum(), rel=0.05)
 
 
+def by_region(cells: Cells, to: Path) -> Path:
+    """Write a cell's logs with a slider that the program sets to 40 % on one side of the robot."""
+    logs = to / "logs"
+    shutil.copytree(cells("box-picking", 6).logs, logs, ignore=shutil.ignore_patterns("truth"))
+    for file in logs.glob("*/robot.csv"):
+        log = pl.read_csv(file, separator=" ")
+        slider = pl.when(pl.col("actual_TCP_pose_1") > 0.1).then(0.4).otherwise(1.0)
+        log = log.with_columns(target_speed_fraction=slider, speed_scaling=pl.col("speed_scaling") * slider)
+        log.write_csv(file, separator=" ")
+    return logs
+
+
+def test_a_slider_that_the_program_sets_by_the_robots_position_is_told_from_people(cells: Cells, tmp_path: Path):
+    found = Dataset.open(ingest([by_region(cells, tmp_path)], tmp_path / "dataset").dataset)
+    assert list(said(found)) == ["override-of-program"]
+    assert found.tasks()["lost_slider_s"].sum() == 0.0  # no hand turned it
+    refuse_unknown_mover(found)
+
+
+@pytest.mark.parametrize(("moves", "code"), [(False, "override-unknown"), (True, "override-moved")])
+def test_a_slider_that_the_program_sets_by_task_is_not_taken_for_people(cells: Cells, moves: bool, code: str):
+    causes = replace(EACH, slider=0.4, slider_every=0, slider_goals=("left_1", "left_2", "left_3", "right_2"))
+    found = cells("box-picking", 8, causes=causes, moves_slider=moves)
+    assert list(said(found.dataset)) == [code]
+
+
 def test_a_hand_and_people_on_one_slider_are_told_apart(cells: Cells):
     found = cells("box-picking", 6, causes=EACH, moves_slider=True)
     assert said(found.dataset)["override-moved"]["sliders"]
@@ -76,7 +104,7 @@ def test_without_a_log_of_people_neither_is_believed_unless_the_cell_file_says_i
     assert list(said(found.dataset)) == ["override-unknown"]
     with pytest.raises(EstimateError, match="set override"):
         refuse_unknown_mover(found.dataset)
-    for mover, code in (("people", ["override-moved"]), ("hand", [])):
+    for mover, code in (("people", ["override-moved"]), ("program", ["override-of-program"]), ("hand", [])):
         logs = tmp_path / mover
         shutil.copytree(found.logs, logs, ignore=shutil.ignore_patterns("truth"))
         cell = logs / "cell.toml"

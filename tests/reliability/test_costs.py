@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import time
 import tracemalloc
@@ -57,14 +58,21 @@ def channels(count: int) -> bytes:
     return (head + "".join(f"{row}\t" + "\t".join([str(row % 2)] * count) + "\n" for row in range(3))).encode()
 
 
+TRIES = 5
+"""Number of measurements; the least one counts, as other processes slow this one by chance."""
+
+
 @pytest.mark.parametrize(("write", "count"), [(never_ended, 500), (variables, 2000), (channels, 1000)])
 def test_time_is_in_proportion_to_the_size(tmp_path: Path, write: Callable[[int], bytes], count: int):
-    took_s = []
-    for many in (count, FACTOR * count):
-        raw, begin = write(many), time.process_time()
-        read(tmp_path / "a.log", raw)
-        took_s.append(time.process_time() - begin)
-    assert took_s[1] < 2 * FACTOR * took_s[0] + 0.5
+    logs, took_s = [write(count), write(FACTOR * count)], [math.inf, math.inf]
+    for _ in range(TRIES):
+        for number, raw in enumerate(logs):
+            begin = time.process_time()
+            read(tmp_path / "a.log", raw)
+            took_s[number] = min(took_s[number], time.process_time() - begin)
+        if took_s[1] < 2 * FACTOR * took_s[0]:
+            return
+    assert took_s[1] < 2 * FACTOR * took_s[0]  # the square of FACTOR is twice that
 
 
 def test_parameters_of_a_c3d_file_that_lie_in_each_other_are_not_read(tmp_path: Path):

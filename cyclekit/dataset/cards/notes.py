@@ -302,6 +302,11 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "fastest repetitions: it is taken for the override that was set, and the scaling is inferred from the motion"
     ),
     "override-moved": lambda values: _override(values, "it counts as the safety function's scaling"),
+    "override-of-program": lambda values: _override(
+        values,
+        "the program sets it by the robot's position, whoever is near, so estimates are slow at the same positions; "
+        "time lost to it is shown with the safety function's",
+    ),
     "override-unknown": lambda values: _override(
         values,
         "neither a program that follows people nor a hand is shown to move it, so no cycle time can be estimated "

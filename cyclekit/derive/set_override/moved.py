@@ -1,4 +1,4 @@
-"""The runs of all sessions, with a set override that moves with people as part of their scaling."""
+"""The runs of all sessions, with a set override that moves with people or with the program in their scaling."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def with_moved_overrides(
     cell: Cell,
     by_logs: bool,
 ) -> MovedOverrides:
-    """Return the results of the first pass, with a set override that moves with people as part of the scaling.
+    """Return the results of the first pass, with a set override as part of the scaling if no hand moves it.
 
     Args:
         passes: Runs the work on the sessions.
@@ -74,7 +74,7 @@ def with_moved_overrides(
     look = partial(override_rows, step_s=step_s, sources=sources, read=read, stored=stored, cell=cell)
     rows = passes.over(look, work, "motion", "set override")
     found = mover_of(rows, step_s, cell.set_override)
-    if found.mover != "people":
+    if found.mover in ("hand", "unknown"):
         return MovedOverrides(list(results), [_told(found)] if found.mover == "unknown" else [])
     hands = [ALWAYS] * len(rows)
     if found.hand is not None:
@@ -100,4 +100,5 @@ def _told(found: Verdict) -> Note:
     hands = [] if found.hand is None else np.unique(np.concatenate(found.hand)).tolist()
     sliders = ", ".join(fixed(value, 2) for value in hands[:8])
     told: dict[str, str | float] = {"turns": found.turns, "hours": found.hours, "sliders": sliders, **share}
-    return note("override-moved", **told) if found.mover == "people" else note("override-unknown", **told)
+    codes = {"people": "override-moved", "program": "override-of-program"}
+    return note(codes.get(found.mover, "override-unknown"), **told)

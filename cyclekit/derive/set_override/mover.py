@@ -1,8 +1,8 @@
-"""Who moved a set override: people, or a hand that turned it whoever was near. Each has the burden of proof.
+"""Who moved a set override: people, the program, or a hand, whoever was near. Each has the burden of proof.
 
 A safety function changes as the cell changes: on held-out stretches of time, what the logs show of people and robot
-explains how it changes within seconds. A hand turns it rarely, and nothing explains when. If neither is shown, neither
-is believed.
+explains how it changes within seconds. A program that sets its own speed at certain places is explained by the robot
+alone. A hand turns it rarely, and nothing explains when. If none is shown, none is believed.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from cyclekit.derive.causes.usual_levels import usual_levels
+from cyclekit.derive.set_override.rows import ROBOT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.derive.set_override.rows import SetOverrideRows
     from cyclekit.schema import Floats, Ints, Vector
 
-Mover = Literal["people", "hand", "unknown"]
+Mover = Literal["people", "program", "hand", "unknown"]
 
 CHANGE_S = 10.0
 """Time over which changes are compared, s: longer than a reaction, shorter than what a hand leaves set.
@@ -42,11 +43,19 @@ TOP, FITS = 0.95, 3
 
 
 class Explained(NamedTuple):
-    """Share of the changes of a value that the rest of the log explains on held-out time, and its standard error."""
+    """Share of the changes of a value that the rest of the log explains on held-out time, and its standard error.
+
+    Attributes:
+        share, error: See above.
+        value: The value as explained, shape (N,).
+        left, whole: Squares of the changes in each block of time that are left, and before, shape (B,).
+    """
 
     share: float
     error: float
     value: Vector
+    left: Vector
+    whole: Vector
 
     @property
     def surely_most(self) -> bool:
@@ -63,12 +72,17 @@ class Explained(NamedTuple):
         """Whether it is not above zero beyond chance."""
         return self.share - SURE * self.error <= 0.0
 
+    def is_more_than(self, other: Explained) -> bool:
+        """Return whether it explains more than another of the same values, beyond chance."""
+        share, error = _share(other.left - self.left, self.whole)
+        return share - SURE * error > 0.0
+
 
 class Verdict(NamedTuple):
     """Who moved the override.
 
     Attributes:
-        mover: People, a hand, or unknown.
+        mover: People, the program, a hand, or unknown.
         share: Share of its changes within CHANGE_S that the logs explain on held-out time; None if it never changes
             within a run.
         turns: Number of its changes within runs.
@@ -97,11 +111,14 @@ def mover_of(sessions: Sequence[SetOverrideRows], step_s: float, told: Mover | N
     turns, hours = int((same & ~np.append(False, same[:-1])).sum()), len(run) * step_s / 3600.0
     if not turns:
         return Verdict(told or "hand", None, 0, hours)
-    features = _features(sessions)
+    features, robot = _features(sessions), _features(sessions, ROBOT)
     seen = explained(override, features, run, step_s)
+    alone = told is None and seen.surely_most and not seen.is_more_than(explained(override, robot, run, step_s))
+    if told == "program" or alone:
+        return Verdict("program", seen.share, turns, hours)
     hand = _hand(override, seen.value, features, run, step_s)
     parts = None if hand is None else np.split(hand, np.cumsum([len(one.t_s) for one in sessions])[:-1])
-    if told != "hand" and (told or seen.surely_most):
+    if told == "people" or (told is None and seen.surely_most):
         return Verdict("people", seen.share, turns, hours, parts)
     between_s = 3600.0 * hours / turns
     by_hand = seen.by_chance and between_s > RARELY_S
@@ -138,11 +155,15 @@ def explained(values: Vector, features: Floats, run: Ints, step_s: float) -> Exp
         np.bincount(block[pairs], squares, int(block[-1]) + 1)
         for squares in ((changes - told_changes) ** 2, changes**2)
     )
+    return Explained(*_share(whole - left, whole), told, left, whole)
+
+
+def _share(part: Vector, whole: Vector) -> tuple[float, float]:
+    """Return the share of a part, both by block, and its standard error (jackknife); 0 and infinity of nothing."""
     if not whole.sum() > 0.0:
-        return Explained(0.0, np.inf, told)
-    without = 1.0 - (left.sum() - left) / np.maximum(whole.sum() - whole, 1e-9)
-    error = float(np.sqrt((len(without) - 1) * without.var()))
-    return Explained(1.0 - float(left.sum() / whole.sum()), error, told)
+        return 0.0, np.inf
+    without = (part.sum() - part) / np.maximum(whole.sum() - whole, 1e-9)
+    return float(part.sum() / whole.sum()), float(np.sqrt((len(without) - 1) * without.var()))
 
 
 def _runs(sessions: Sequence[SetOverrideRows], step_s: float) -> Ints:
@@ -151,8 +172,8 @@ def _runs(sessions: Sequence[SetOverrideRows], step_s: float) -> Ints:
     return np.cumsum(np.concatenate([np.empty(0, np.bool_), *begins]))
 
 
-def _features(sessions: Sequence[SetOverrideRows]) -> Floats:
-    names = dict.fromkeys(name for one in sessions for name in one.features)
+def _features(sessions: Sequence[SetOverrideRows], beginning: str = "") -> Floats:
+    names = dict.fromkeys(name for one in sessions for name in one.features if name.startswith(beginning))
     return np.column_stack(
         [np.concatenate([one.features.get(name, np.zeros(len(one.t_s))) for one in sessions]) for name in names]
     )

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Vector
     from cyclekit.segmentation.stored_run import Run
 
+ROBOT = "robot "
+"""First word of the features that the robot alone shows."""
 FAR_M = 99.0
 """Distance of nobody, m."""
 PAST_S = (2.0, 10.0)
@@ -75,7 +77,7 @@ def override_rows(
         np.concatenate([np.empty(0), *(getattr(part, name) for part in parts)]) for name in ("t_s", "slider", "scaling")
     )
     tcp_m = np.concatenate([np.empty((0, 3)), *(part.xyz_m for part in parts)])
-    features: dict[str, Vector] = {f"robot {axis}": np.nan_to_num(tcp_m[:, k]) for k, axis in enumerate("xyz")}
+    features: dict[str, Vector] = {f"{ROBOT}{axis}": np.nan_to_num(tcp_m[:, k]) for k, axis in enumerate("xyz")}
     tracks = person_tracks(session.recordings, sources, read)
     if tracks:
         human_m, _ = nearest_person(tracks, t_s, tcp_m, bridge_s=cell.bridge_s, width_s=step_s)

@@ -30,7 +30,7 @@ from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.soundness import FEW_EXECUTIONS, MIN_SUPPORT, findings_of
 from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.estimate.statistics.resample import drawn_errors, interval_of_mean
-from cyclekit.estimate.validation.question import Altered, Question
+from cyclekit.estimate.validation.question import LAID_OUT, ROLLED, VALIDATED, Altered, Question
 from cyclekit.learning.networks.cell import trained_on
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.text.numbers import fixed, percent
@@ -104,10 +104,16 @@ def estimate_both(
     answers = JointAnswers(ask, cell, nominal)
     judged = ask.check if isinstance(ask.check, JointCheck) else None
     if judged is None and validate and altered is None:
+        tell(LAID_OUT, "validating on logged executions")
         judged = answers.check()
+        tell(VALIDATED, "rolling out")
     if not other_cell:
         refuse_biased(judged, own=trained_on(ask.model.card, dataset))
-    found = answers.found(sequences, judged, refuse, tell)
+
+    def rolling(done: float, text: str) -> None:
+        tell(VALIDATED + (ROLLED - VALIDATED) * done, text)
+
+    found = answers.found(sequences, judged, refuse, rolling)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, cell.model, cell.logged or None)]
     pace = () if cell.coupling is None or cell.coupling.pace is None else (cell.coupling.pace,)
     paced = [one.said for one in pace]

@@ -1,4 +1,4 @@
-"""A lag refined to hundredths of a second, with its drift: the level asked for by where people are, as it is followed.
+"""A lag refined to about 0.1 s, with its drift: the level asked for by where people are, as it is followed.
 
 The robot is slowed at once and recovers slowly, so its level alone is late by seconds. Here the level asked for at each
 place is followed at the rates at which the robot's level falls and rises, and compared with the logged one. A constant

@@ -12,10 +12,10 @@ from cyclekit.dataset.cards.coupling import ConditionCard, CouplingCard, GateCar
 from cyclekit_sim.task_lists import simulate_task_lists
 
 TASKS = [
-    {"agent": "Operator", "task": "pick", "start": 0.5, "end": 2.5, "run": "a", "outcome": 1},
-    {"agent": "Operator", "task": "pick", "start": 2.0, "end": 6.0, "run": "a", "outcome": 0},
-    {"agent": "kuka", "task": "drill", "start": 1.0, "end": 3.0, "run": "a", "planned_start": 0.5, "outcome": 1},
-    {"agent": "kuka", "task": "drill", "start": 101.0, "run": "b", "outcome": 1},
+    {"agent": "Operator", "task": "pick", "start_s": 0.5, "end_s": 2.5, "run": "a", "outcome": 1},
+    {"agent": "Operator", "task": "pick", "start_s": 2.0, "end_s": 6.0, "run": "a", "outcome": 0},
+    {"agent": "kuka", "task": "drill", "start_s": 1.0, "end_s": 3.0, "run": "a", "planned_start_s": 0.5, "outcome": 1},
+    {"agent": "kuka", "task": "drill", "start_s": 101.0, "run": "b", "outcome": 1},
 ]
 
 

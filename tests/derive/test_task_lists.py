@@ -168,7 +168,7 @@ def test_executions_that_each_count_from_zero_do_not_overlap() -> None:
 def test_tasks_of_days_are_named_as_a_slip_of_units() -> None:
     table = pl.DataFrame({"agent_name": ["r"], "t_s": [0.0], "end_s": [200_000.0]})
     (said,) = examined(Recording(task_list=conform(table, TASK_LIST))).warnings
-    assert said == "half of the tasks take 2e+05 s: check the unit of time and give time_unit"
+    assert said == "half of the tasks take 200000 s: check the unit of time and give time_unit"
 
 
 def test_beside_a_robot_log_the_operators_tasks_are_put_into_its_executions(tmp_path: Path, robot_log) -> None:

@@ -20,7 +20,7 @@ ROBOT, OPERATOR = ("robot", "arm"), ("operator", "worker")
 
 def _lists(folder: Path, orders: list[list[tuple[tuple[str, str], str, float, float]]]) -> Dataset:
     """Write executions of (agent, task, start, end) and ingest them."""
-    rows = ["execution,agent,kind,task,start,end"]
+    rows = ["execution,agent,kind,task,start_s,end_s"]
     for number, tasks in enumerate(orders):
         for (agent, name), task, start_s, end_s in tasks:
             rows.append(f"e{number:02},{name},{agent},{task},{1000 * number + start_s},{1000 * number + end_s}")

@@ -240,6 +240,25 @@ def test_a_tracker_of_unknown_clock_is_aligned_by_the_logs(logs: Path, tmp_path:
     assert buttons.clock.offset_s == clock.offset_s
 
 
+def test_a_tracker_of_unknown_clock_is_aligned_with_each_part_of_a_restarted_robot(logs: Path, tmp_path: Path):
+    folder = shutil.copytree(logs, tmp_path / "logs")
+    (robot,) = folder.rglob("robot.csv")
+    log = pl.read_csv(robot, separator=" ")
+    half_s = log["timestamp"][log.height // 2] - ROBOT_START_S
+    again = pl.int_range(pl.len()) >= pl.len() // 2
+    since_s = log["timestamp"] - log["timestamp"][log.height // 2] + 20.0
+    log.with_columns(timestamp=pl.when(again).then(since_s).otherwise("timestamp")).write_csv(robot, separator=" ")
+    dataset, _ = ingested(folder, tmp_path / "d", cell_with(logs, {}), align_clocks="logs")
+    first, later = (one.clock for one in dataset.recordings if "people" in one.tables)
+    assert (first.method, later.method) == ("logs", "logs")
+    assert worst_s(first, half_s) < 0.2
+    of_whole = ClockCard(kind=later.kind, method="own", offset_s=later.offset_s + half_s, rate=later.rate)
+    assert worst_s(of_whole, 2 * half_s) < 0.2
+    unasked, _ = ingested(folder, tmp_path / "unasked", cell_with(logs, {}))  # six minutes leave doubt
+    kept = [one.clock for one in unasked.recordings if "people" in one.tables][-1]
+    assert kept.method == "logs" or "nobody is seen in it" in kept.warnings[0].text
+
+
 def test_a_stated_clock_that_is_wrong_is_named_with_its_line_and_aligned_on_request(logs: Path, tmp_path: Path):
     cell = cell_with(logs, {"clock_offset_s": 110.0})
     operator = ingested(logs, tmp_path / "d", cell)[1]

@@ -202,6 +202,11 @@ def test_whole_numbers_without_a_unit_are_refused_until_the_unit_is_said(tmp_pat
     assert spans(read(path, time_unit="ms")) == [("robot", "a", 0.0, 1.5)]
 
 
+def test_a_unit_that_a_name_says_holds_for_tasks_however_short(tmp_path):
+    path = table(tmp_path / "a.csv", "agent,task,start_s,end_s", "r,vacuum on,1.0,1.0625", "r,vacuum off,2.0,2.0625")
+    assert spans(read(path)) == [("robot", "vacuum on", 1.0, 1.0625), ("robot", "vacuum off", 2.0, 2.0625)]
+
+
 def test_start_and_end_may_count_in_different_units(tmp_path):
     path = table(tmp_path / "a.csv", "agent,task,start,end", f"r,a,{T0},{round(1000 * T0) + 1500}")
     assert spans(read(path)) == [("robot", "a", T0, T0 + 1.5)]

@@ -156,7 +156,7 @@ def prove(values: Vector, evidence: TimeEvidence) -> Proof:
         lambda unit: "it has fractions" if unit.name in _TICKS and (values[known] % 1 != 0).any() else None,
         lambda unit: _no_date(unit, middle, values[known], named),
         lambda unit: _no_interval(unit, step, evidence),
-        lambda unit: no_duration(unit, evidence.lasts),
+        lambda unit: None if unit.seconds == getattr(named, "seconds", None) else no_duration(unit, evidence.lasts),
         lambda unit: _other_time(unit, values, evidence.others),
         lambda unit: _no_speed(unit, values, evidence),
     ]

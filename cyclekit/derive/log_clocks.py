@@ -198,7 +198,7 @@ def _where_people_are(
     """
     first, last = min(span[0] for span in spans_s), max(span[1] for span in spans_s)
     begin = int(np.ceil(first / step_s))
-    at_s = np.arange(begin, int(last / step_s) + 1) * step_s
+    at_s: Vector = np.arange(begin, int(last / step_s) + 1).astype(np.float64) * step_s
     label = np.array([cells_of(one[:, :2]) for one in people_at_once(tracks, at_s)] or [np.full(len(at_s), -1)])
     logged = np.any([(at_s >= span[0]) & (at_s <= span[1]) for span in spans_s], axis=0)
     label[0] = np.where(logged & (label < 0).all(axis=0), NOBODY, label[0])

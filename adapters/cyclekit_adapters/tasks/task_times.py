@@ -38,8 +38,7 @@ _PLAN = ("planned_start", "planned_end")
 _WRITTEN_IN = ("ns", "us", "ms", "s", "min", "h")
 """Units in which durations are written."""
 _TIGHT = 0.02
-"""Relative difference to which a task ends at the next start. Units differ by 60 or more, so half and twice of it only
-say how much idle time is none."""
+"""Relative difference to which a task ends at the next start. Half and twice of it change no test of task lists."""
 _ZERO = 1e-6
 """A planned time below it is zero in any unit; planners round worse."""
 _OFF_PLAN = 3.0

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 _SHARED = 0.5
 """Least share of neighbouring rows with one time, and of those that differ in their values, beside other neighbours.
-Half and twice of it decide no log of the tests: rows repeat nearly always, or nearly never."""
+Half of it changes none of the tests of units; with twice of it, which is all rows, none are spread."""
 _EVEN = 0.2
 """Maximum relative difference of the numbers of rows of most whole steps: loggers on a PC are this uneven, and changes
-of a state are far more so. Half of it refuses a PC's log at 10 Hz."""
+of a state are far more so. Half and twice of it change none of the tests of units."""
 _LEAST_STEPS = 3
 """Number of whole steps from which a rate is known."""
 

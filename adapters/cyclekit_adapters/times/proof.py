@@ -27,14 +27,15 @@ if TYPE_CHECKING:
 
 _MOTION_STEP_S = (2e-4, 60.0)
 """Intervals between rows of robots and people, s: no controller logs at more than 5 kHz, no path is logged each minute.
-Half and twice of them decide no log of the tests."""
+Half and twice of them change none of the tests of units."""
 _DENSE, _DENSE_STEP_S = 0.1, 1.2
-"""A path whose median step is at most this share of its span was logged at intervals of at most so many seconds."""
+"""A path whose median step is at most this share of its span was logged at intervals of at most so many seconds.
+Half and twice of the share change none of the tests of units."""
 _EVENT_STEP_S = 1e-3
-"""Least median interval between rows of events and states, s: a PLC's cycle. Half and twice of it decide no log."""
+"""Least median interval between rows of events and states, s: a PLC's cycle."""
 _DATE_STEP_S = 600.0
 """Median interval of rows up to which a large number that is a date in one unit alone is that date, s; beyond it, a
-count of 11 to 20 days in ms may look like one in s since 1970. Half and twice of it decide no log of the tests."""
+count of 11 to 20 days in ms may look like one in s since 1970."""
 _UPTIME_S = 3.2e7
 """Longest time since the zero of a clock of its own, s: a year."""
 _TASKS_S = (0.1, 86_400.0)
@@ -43,8 +44,7 @@ _FROM_ZERO = 10.0
 """Minutes, hours and days are counted from the beginning of a recording: its start is at most so many spans away."""
 _SPEEDS = {"robot": (0.02, 8.0), "people": (0.1, 5.0)}
 """Speed that the fastest hundredth of the rows has, m/s or rad/s: a slow gluing robot and the fastest joint; a person
-who walks at all, and one who runs. Twice of the least leaves out robots that only glue, half keeps minutes beside
-seconds for a robot below 0.6 m/s."""
+who walks at all, and one who runs."""
 _MOVES = {"robot": 0.05, "people": 1.0}
 """Least span of a path, m or rad, that is judged by its speed."""
 _USUAL_S = np.array(

@@ -81,7 +81,7 @@ class FoundLag:
 def cells_of(xy_m: Floats) -> Ints:
     """Return the number of the floor's cell of each position (..., 2), m, shape (...); -1 = unknown."""
     cell = np.floor(xy_m / CELL_M)
-    seen = np.isfinite(cell).all(axis=-1)
+    seen = np.asarray(np.isfinite(cell).all(axis=-1))
     numbers = np.where(seen[..., None], cell, 0.0).astype(np.int64)
     return np.where(seen, (numbers[..., 0] + 2**20) * 2**21 + numbers[..., 1] + 2**20, -1)
 

@@ -152,7 +152,7 @@ def explained(values: Vector, features: Floats, run: Ints, step_s: float) -> Exp
     pairs = np.flatnonzero((run[back:] == run[: len(run) - back]) & known[back:] & known[: len(run) - back]) + back
     changes, told_changes = (one[pairs] - one[pairs - back] for one in (values, told))
     left, whole = (
-        np.bincount(block[pairs], squares, int(block[-1]) + 1)
+        np.bincount(block[pairs], squares, int(block[-1]) + 1).astype(np.float64)
         for squares in ((changes - told_changes) ** 2, changes**2)
     )
     return Explained(*_share(whole - left, whole), told, left, whole)

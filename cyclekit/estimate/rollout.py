@@ -185,7 +185,7 @@ def _estimate_robot(
             mine_alone = (*of_work, *limits_of_cycles(cycles))
             entry = replace(entry, findings=findings, limits=(*mine_alone, *limits))
             found.append(Unranked(entry, mean.resampled_s, last=not cycles.simulated))
-            tell(ROLLED + (1.0 - ROLLED) * len(found) / len(programs), sequence.name)
+            tell(ROLLED + (1.0 - ROLLED) * len(found) / (len(programs) + 1), sequence.name)
     tell(1.0, "done")
     return found
 

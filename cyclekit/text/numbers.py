@@ -9,6 +9,7 @@ stands before a zero, an interval never has two equal ends, and what is unknown 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 
@@ -26,7 +27,9 @@ def fixed(value: float | None, decimals: int) -> str:
     """Write a number with that many decimals; a negative number of them means tens, hundreds."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
-    rounded = round(float(value), decimals)
+    with contextlib.suppress(OverflowError):  # the largest numbers stay as they are
+        value = round(float(value), decimals)
+    rounded = float(value)
     return ("-" if rounded < 0 else "") + f"{abs(rounded):.{max(decimals, 0)}f}"
 
 

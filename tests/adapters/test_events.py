@@ -105,11 +105,11 @@ def test_the_cell_file_decides_the_unit_and_the_zone(tmp_path):
         read(tmp_path / "plc.csv", text, role="people")
 
 
-def test_plain_numbers_with_fractions_may_be_seconds_or_minutes_and_are_refused_with_both(tmp_path):
+def test_plain_numbers_with_fractions_are_seconds_with_a_warning_that_they_may_be_minutes(tmp_path):
     text = "time,signal,value\n1,goal,A\n2.5,goal,B\n"
-    with pytest.raises(LogError, match=r"its unit may be s, .*min") as refusal:
-        read(tmp_path / "plc.csv", text)
-    assert "time_unit" in refusal.value.cure
+    log = read(tmp_path / "plc.csv", text)
+    assert log.events["t_s"].to_list() == [1.0, 2.5]
+    assert any("seconds assumed" in said and "min" in said and "time_unit" in said for said in log.warnings)
     assert read(tmp_path / "plc.csv", text, map={"time_unit": "min"}).events["t_s"].to_list() == [60.0, 150.0]
 
 

@@ -130,7 +130,7 @@ def refusal(log: Path) -> str:
     steps=st.lists(st.floats(0.5, 90.0), min_size=12, max_size=30),
     says=st.booleans(),
 )
-def test_events_in_any_unit_come_to_one_table_or_are_refused_with_the_unit(
+def test_events_in_any_unit_come_to_one_table_or_are_refused_or_marked_with_the_unit(
     tmp_path_factory: pytest.TempPathFactory, unit: str, steps: list[float], says: bool
 ) -> None:
     t_s = np.cumsum([0.0, *steps])
@@ -144,6 +144,9 @@ def test_events_in_any_unit_come_to_one_table_or_are_refused_with_the_unit(
         assert not (says and unit in COUNTED)
         assert re.search(rf"may be .*{re.escape(called)}\b", cause), cause
     got = events.ADAPTER.read(log, ReadOptions(map={"time_unit": called} if cause else {}))
+    if any("seconds assumed" in said for said in got.warnings):  # marked, with what else it may be
+        assert re.search(rf"may be .*{re.escape(called)}\b", " ".join(got.warnings)), got.warnings
+        got = events.ADAPTER.read(log, ReadOptions(map={"time_unit": called}))
     resolution_s = max(RESOLUTION_S, 1.01 * COUNTED.get(unit, 0.0) * (unit in WHOLE))
     assert (got.events["t_s"] - got.events["t_s"][0]).to_list() == pytest.approx(t_s.tolist(), abs=2 * resolution_s)
 

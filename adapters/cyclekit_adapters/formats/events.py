@@ -27,7 +27,7 @@ from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 from cyclekit_adapters.times.local_clock import LocalClock
 from cyclekit_adapters.times.proof import file_date
-from cyclekit_adapters.times.row_times import T_S, require_known, timed
+from cyclekit_adapters.times.row_times import T_S, settled, timed
 from cyclekit_adapters.times.units import Unit, checked_unit
 from cyclekit_adapters.times.written_time import checked_zone
 
@@ -119,8 +119,7 @@ def _table(path: Path, unit: Unit | None) -> EventTable:
     if table is None:
         cause = "no columns for time, signal and value, and none for time and states of 0 and 1"
         raise DamagedLog(path, cause, cure='Map its columns with adapter = "csv".')
-    require_known(path, table.times)
-    return table
+    return replace(table, times=settled(path, table.times))
 
 
 def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:

@@ -23,7 +23,7 @@ from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
 from cyclekit_adapters.times.local_clock import LocalClock
 from cyclekit_adapters.times.proof import TimeEvidence, file_date
-from cyclekit_adapters.times.row_times import T_S, TimeColumn, require_known, time_column, timed
+from cyclekit_adapters.times.row_times import T_S, TimeColumn, settled, time_column, timed
 from cyclekit_adapters.times.units import Unit, checked_unit, unit_in_name
 from cyclekit_adapters.times.written_time import checked_zone
 
@@ -150,8 +150,7 @@ def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, sett
     evidence = TimeEvidence(column, unit_in_name(column), before_s=file_date(path))
     times = time_column((column,), sample, evidence, unit=settings.unit, decimal_comma=comma)
     times = times or TimeColumn((column,), why="neither numbers nor times in a known form", sample=sample[0])
-    require_known(path, times)
-    return times
+    return settled(path, times)
 
 
 def _table(frame: pl.DataFrame, columns: SafetyColumns, full: float, seen: _Seen) -> pl.DataFrame:

@@ -16,7 +16,7 @@ from cyclekit.errors import LogError
 from cyclekit_adapters.tasks.repeated_names import named_apart, named_apart_by_others, paused
 from cyclekit_adapters.tasks.task_columns import TIMES
 from cyclekit_adapters.times.proof import TimeEvidence, file_date, no_duration
-from cyclekit_adapters.times.row_times import TimeColumn, require_known, time_column
+from cyclekit_adapters.times.row_times import TimeColumn, settled, time_column
 from cyclekit_adapters.times.units import COUNTED, unit_in_name
 from cyclekit_adapters.times.written_time import is_dated, written_seconds
 
@@ -159,7 +159,7 @@ def _times(
     if not times.known and start is not None and not start.pattern and start.units:
         unit = start.units[0]._replace(zero_s=None, local=False)
         times = replace(times, units=(unit,), why=f"in the unit of {start.columns[0]}")
-    require_known(path, times)
+    times = settled(path, times if key != "duration" else replace(times, assumed=None))
     if _zone_named(times) is False and cells[key].str.contains(_ZONED).any():
         cause = f"some times of column {name!r} name their time zone and some do not"
         if settings.zone is None:

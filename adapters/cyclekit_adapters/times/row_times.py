@@ -11,7 +11,7 @@ import polars as pl
 from cyclekit.errors import LogError
 from cyclekit_adapters.text.delimited import INDEX
 from cyclekit_adapters.times.proof import prove
-from cyclekit_adapters.times.units import EARLIEST_S, LATEST_S
+from cyclekit_adapters.times.units import COUNTED, EARLIEST_S, LATEST_S
 from cyclekit_adapters.times.written_time import forms_of, is_dated, names_zone, written_seconds
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ class TimeColumn:
         why: Evidence for this interpretation.
         sample: The first time as written.
         zoned: The times name their time zone.
+        assumed: Unit of numbers with fractions that may be seconds and something else, while it is not stated.
     """
 
     columns: tuple[str, ...]
@@ -47,6 +48,7 @@ class TimeColumn:
     why: str = ""
     sample: str = ""
     zoned: bool = False
+    assumed: Unit | None = None
 
     @property
     def known(self) -> bool:
@@ -67,7 +69,9 @@ class TimeColumn:
         return is_dated(self.pattern) if self.pattern else any(unit.zero_s is not None for unit in self.units)
 
     def warnings(self, zone: str | None) -> list[str]:
-        """Return a warning if the times cannot be aligned with other logs for lack of a date or a zone."""
+        """Return a warning if the unit is assumed, or times cannot be aligned with other logs without date or zone."""
+        if self.assumed in self.units:
+            return [f"the unit of time is not stated: seconds assumed, because the numbers have fractions; {self.why}"]
         if self.is_local and zone is None:
             return ["its times have no time zone, so they cannot be aligned with other logs; give time_zone"]
         undated = self.pattern and not self._dated
@@ -109,23 +113,33 @@ def time_column(
         unit = unit.since_1970() if dated else unit
         return TimeColumn(columns, "", (unit,), f"{unit.said}, from the cell file", sample[0])
     proof = prove(np.array(numbers), evidence)
+    fractions = not proof.contradiction and any(number % 1.0 for number in numbers)
+    assumed = next((unit for unit in proof.left if fractions and unit == COUNTED["s"]), None)
     return TimeColumn(
-        columns, "", proof.left if proof.unit else (), proof.why if proof.unit else proof.question, sample[0]
+        columns,
+        "",
+        proof.left if proof.unit else (),
+        proof.why if proof.unit else proof.question,
+        sample[0],
+        assumed=None if proof.unit else assumed,
     )
 
 
-def require_known(path: Path, times: TimeColumn) -> None:
-    """Refuse times whose unit or form is open.
+def settled(path: Path, times: TimeColumn) -> TimeColumn:
+    """Return times whose unit and form are known; of an open unit seconds, with a warning, if numbers have fractions.
 
     Raises:
-        LogError: It is; the message names the candidates.
+        LogError: They are open; the message names the candidates.
     """
-    if not times.known:
-        columns = " and ".join(map(repr, times.columns))
-        cause = f"the times of column {columns} ({times.sample[:40]!r}) are ambiguous: {times.why}"
-        cure = 'Give time_unit = "s" (or another of these) in [sources.map] of the cell file'
-        cure += ', or map the columns with adapter = "csv" and its time_format.'
-        raise LogError(path, cause, cure=cure)
+    if times.known:
+        return times
+    if times.assumed is not None:
+        return replace(times, units=(times.assumed,), why=f"{times.why}; check time_unit")
+    columns = " and ".join(map(repr, times.columns))
+    cause = f"the times of column {columns} ({times.sample[:40]!r}) are ambiguous: {times.why}"
+    cure = 'Give time_unit = "s" (or another of these) in [sources.map] of the cell file'
+    cure += ', or map the columns with adapter = "csv" and its time_format.'
+    raise LogError(path, cause, cure=cure)
 
 
 def _number(text: str, *, decimal_comma: bool) -> float | None:

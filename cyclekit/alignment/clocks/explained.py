@@ -124,7 +124,7 @@ def find_lag(sessions: Sequence[Instants], step_s: float = STEP_S) -> FoundLag |
         float(explained[other]) if len(rivals) else 0.0,
         float(lags[other]) * step_s,
         float(explained[here[0]]) if len(here) else None,
-        certain,
+        bool(certain),
     )
 
 

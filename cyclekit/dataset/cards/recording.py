@@ -65,9 +65,9 @@ class ClockTest(Card, frozen=True, kw_only=True):
     """
 
     lag_s: Seconds
-    explained: float
-    next_best: float
-    here: float | None = None
+    explained: Measure
+    next_best: Measure
+    here: Measure | None = None
     certain: bool
 
 

@@ -22,8 +22,9 @@ MS_PER_SESSION = {"motion": 1.5, "speed": 2.0, "standstills": 2.0, "samples": 2.
 MS_PER_ROW, MS_PER_S = 0.3e-3, 0.2
 """Measured processor time of the stages per standstill, session, row of the robot and second of its log, ms. Half or
 twice of one of them makes the remaining time wrong by at most half of that stage's share."""
-MS_PEOPLE = {"levels": 0.7, "waits": 1.0}
-"""The same per standstill: of the search for signals that show people, and of the tracker's checks."""
+MS_TRACKER, MS_SIGNALS = {"speed": 1.0, "waits": 1.0}, {"levels": 0.7}
+"""The same per standstill: of the tests of a tracker's clock and of its checks, and of the search for signals that show
+people."""
 
 
 class StageProgress:
@@ -61,9 +62,9 @@ class StageProgress:
         """Set the cost of the later stages of `times` as many logs, with scaling to be inferred if it is `silent`."""
         rows, seconds = sum(card.rows.get("robot", 0) for card in cards), sum(map(_robot_s, cards))
         more = {"motion": MS_PER_ROW * rows, "levels": MS_PER_S * seconds}
-        people = "waits" if any("people" in card.tables for card in cards) else "levels"
+        people = MS_TRACKER if any("people" in card.tables for card in cards) else MS_SIGNALS
         for stage, ms in MS_PER_STOP.items():
-            each = (ms if silent or stage != "speed" else 0.0) + (MS_PEOPLE[stage] if stage == people else 0.0)
+            each = (ms if silent or stage != "speed" else 0.0) + people.get(stage, 0.0)
             cost = each * stops + MS_PER_SESSION.get(stage, 0.0) * sessions + more.get(stage, 0.0)
             self.cost_ms[stage] = cost * times
 

@@ -42,6 +42,8 @@ BRIDGE_S = 0.3
 REACTION_S = (-0.3, 0.8)
 """A lag between these may be the reaction time of the safety function (0.5 s in UR's reduced mode, and a scanner's),
 and contradicts no clock, s."""
+GRIDS = ((0.0, 0.0), (0.25, 0.5), (0.5, 0.25), (0.75, 0.75))
+"""By how many widths of a cell the grids of the refinement are moved along the axes of the floor: a lattice."""
 NOBODY = 1 << 60
 """Label of an instant at which nobody is seen."""
 
@@ -92,7 +94,7 @@ def with_tested_clocks(
         read: Returns a native table of a recording (id, table).
         asked: Use the lag of every assumed clock, certain or not, and of stated clocks that the logs contradict.
     """
-    test = partial(_tested, sources=sources, read=read)
+    test = partial(_tested, sources=sources, read=read, asked=asked)
     groups = _groups(sessions, runs, sources)
     tested = passes.over(test, groups, "speed", "clocks") if groups else []
     together = _assumed_together(groups, tested, sources)
@@ -158,7 +160,8 @@ def _assumed_together(
     return [_SameClock(tuple(part for one in some for part in one.sessions)) for some in left.values() if len(some) > 1]
 
 
-def _tested(group: _SameClock, *, sources: Mapping[str, Source | None], read: Read) -> _Tested | None:
+def _tested(group: _SameClock, *, sources: Mapping[str, Source | None], read: Read, asked: bool) -> _Tested | None:
+    """Return what the logs say about a clock; None if they say nothing."""
     seen, coarse = [], []
     for logs, runs in group.sessions:
         tracks, (t_s, tcp_m, level) = person_tracks(logs, sources, read), _motion(runs)
@@ -170,14 +173,21 @@ def _tested(group: _SameClock, *, sources: Mapping[str, Source | None], read: Re
         coarse.append(Instants(label, label_at, robot.T, robot_at))
     if not coarse or any(len(one.label) > MAX_PEOPLE for one in coarse) or (found := find_lag(_equal(coarse))) is None:
         return None
-    people = [_where_people_are(*one[:2], FINE_S) for one in seen]
     robots = [_on_grid(t_s, np.column_stack([tcp_m[:, :2], level]), FINE_S) for _, _, t_s, tcp_m, level in seen]
-    labels = numbered([*(label for label, _ in people), *(cells_of(rows[:, :2]) for rows, _ in robots)])
-    fine = [
-        PlacesAndLevel(labels[number], people[number][1], labels[len(people) + number], rows[:, 2], at)
-        for number, (rows, at) in enumerate(robots)
-    ]
-    return _Tested(found, refine_lag(fine, found.lag_s))
+
+    def in_cells(moved: tuple[float, float]) -> list[PlacesAndLevel]:
+        people = [_where_people_are(*one[:2], FINE_S, moved) for one in seen]
+        labels = numbered([*(label for label, _ in people), *(cells_of(rows[:, :2], moved) for rows, _ in robots)])
+        return [
+            PlacesAndLevel(labels[number], people[number][1], labels[len(people) + number], rows[:, 2], at)
+            for number, (rows, at) in enumerate(robots)
+        ]
+
+    first = [in_cells(GRIDS[0])]
+    tested = _Tested(found, refine_lag(first, found.lag_s))
+    if tested.refined is None or not (asked or tested.contradicts):
+        return tested  # the clock stays as it is
+    return _Tested(found, refine_lag([*first, *map(in_cells, GRIDS[1:])], found.lag_s))
 
 
 def _equal(sessions: Sequence[Instants]) -> list[Instants]:
@@ -190,7 +200,10 @@ def _equal(sessions: Sequence[Instants]) -> list[Instants]:
 
 
 def _where_people_are(
-    tracks: Sequence[PersonTrack], spans_s: Sequence[tuple[float, float]], step_s: float
+    tracks: Sequence[PersonTrack],
+    spans_s: Sequence[tuple[float, float]],
+    step_s: float,
+    moved: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Ints, int]:
     """Return the cells of people at each instant (K, N), NOBODY where nobody is seen, and the first instant's number.
 
@@ -199,7 +212,7 @@ def _where_people_are(
     first, last = min(span[0] for span in spans_s), max(span[1] for span in spans_s)
     begin = int(np.ceil(first / step_s))
     at_s: Vector = np.arange(begin, int(last / step_s) + 1).astype(np.float64) * step_s
-    label = np.array([cells_of(one[:, :2]) for one in people_at_once(tracks, at_s)] or [np.full(len(at_s), -1)])
+    label = np.array([cells_of(one[:, :2], moved) for one in people_at_once(tracks, at_s)] or [np.full(len(at_s), -1)])
     logged = np.any([(at_s >= span[0]) & (at_s <= span[1]) for span in spans_s], axis=0)
     label[0] = np.where(logged & (label < 0).all(axis=0), NOBODY, label[0])
     return label, begin
@@ -237,12 +250,15 @@ def _motion(runs: Sequence[Run]) -> tuple[Vector, Points, Vector]:
 
 
 def _on_grid(t_s: Vector, rows: Floats, step_s: float) -> tuple[Floats, int]:
-    """Return rows (N, C) at the instants of a grid, NaN where none is fresh, and the number of the first instant."""
-    begin = int(np.ceil(t_s[0] / step_s))
+    """Return the nearest rows (N, C) at the instants of a grid, NaN where none is near, and the first instant's number.
+
+    The row before an instant would make the level late by half of the time between rows.
+    """
+    begin, period_s = int(np.ceil(t_s[0] / step_s)), float(np.median(np.diff(t_s)))
     at_s = np.arange(begin, int(t_s[-1] / step_s) + 1) * step_s
-    last = np.searchsorted(t_s, at_s, side="right") - 1
-    fresh = at_s - t_s[last] <= max(0.1, 2.0 * float(np.median(np.diff(t_s))))
-    return np.where(fresh[:, None], rows[last], np.nan), begin
+    nearest = np.searchsorted(t_s, at_s + period_s / 2.0, side="right") - 1
+    near = at_s - t_s[nearest] <= max(0.1, 2.0 * period_s)
+    return np.where(near[:, None], rows[nearest], np.nan), begin
 
 
 def _fit(log: RecordingCard, tested: _Tested | None, began_s: float, *, asked: bool) -> ClockFit:

@@ -78,9 +78,14 @@ class FoundLag:
     certain: bool
 
 
-def cells_of(xy_m: Floats) -> Ints:
-    """Return the number of the floor's cell of each position (..., 2), m, shape (...); -1 = unknown."""
-    cell = np.floor(xy_m / CELL_M)
+def cells_of(xy_m: Floats, moved: tuple[float, float] = (0.0, 0.0)) -> Ints:
+    """Return the number of the floor's cell of each position (..., 2), m, shape (...); -1 = unknown.
+
+    Args:
+        xy_m: The positions.
+        moved: By how many widths of a cell the grid is moved.
+    """
+    cell = np.floor(xy_m / CELL_M + np.array(moved))
     seen = np.asarray(np.isfinite(cell).all(axis=-1))
     numbers = np.where(seen[..., None], cell, 0.0).astype(np.int64)
     return np.where(seen, (numbers[..., 0] + 2**20) * 2**21 + numbers[..., 1] + 2**20, -1)

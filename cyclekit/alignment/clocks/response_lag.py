@@ -58,16 +58,25 @@ class RefinedLag(NamedTuple):
     residual_s: float
 
 
-def refine_lag(sessions: Sequence[PlacesAndLevel], lag_s: float) -> RefinedLag | None:
-    """Return the refined lag near `lag_s`; None if the level never changes where the logs meet."""
+def refine_lag(grids: Sequence[Sequence[PlacesAndLevel]], lag_s: float) -> RefinedLag | None:
+    """Return the refined lag near `lag_s`; None if the level never changes where the logs meet.
+
+    Args:
+        grids: The same sessions with each of some grids of cells: where a threshold lies in a cell is not known, and
+            the mean over moved grids hardly depends on it (Scott, Annals of Statistics 13, 1985).
+        lag_s: The lag so far.
+    """
     reach = round(AROUND_S / FINE_S)
     lags = round(lag_s / FINE_S) + np.arange(-reach, reach + 1)
-    windows = [window for one in sessions for window in _windows(one, lags, -(-WINDOWS // len(sessions)))]
-    some = windows[:: max(1, len(windows) // WINDOWS)]
-    if not some:
-        return None
-    rates = _rates([window.level for window in some])
-    wrong = np.array([_misfits(window, asked, rates) for window, asked in zip(some, _asked(some), strict=True)])
+    misfits = []
+    for sessions in grids:
+        windows = [window for one in sessions for window in _windows(one, lags, -(-WINDOWS // len(sessions)))]
+        some = windows[:: max(1, len(windows) // WINDOWS)]
+        if not some:
+            return None
+        rates = _rates([window.level for window in some])
+        misfits.append([_misfits(window, asked, rates) for window, asked in zip(some, _asked(some), strict=True)])
+    wrong = np.mean(misfits, axis=0)
     at_s = np.array([window.at_s for window in some])
     if not (np.ptp(wrong, axis=1) > 0.0).any():
         return None
@@ -175,9 +184,12 @@ def _misfits(window: _Window, asked: Floats, rates: tuple[float, float]) -> Vect
     known = np.isfinite(window.level)
     now = np.full(len(asked), window.level[known][0] if known.any() else 1.0)
     followed = np.empty_like(asked)
+    before = asked[:, 0]
     for row in range(len(window.level)):
-        now = now + np.clip(asked[:, row] - now, -rates[0], rates[1])
-        followed[:, row] = now
+        by = np.clip(asked[:, row] - now, -rates[0], rates[1])
+        ramps = np.abs(asked[:, row] - now) > 1.5 * np.abs(by)  # else the level jumps
+        now = now + np.where(ramps & (asked[:, row] != before), by / 2.0, by)  # a ramp begins within the step
+        followed[:, row], before = now, asked[:, row]
     return np.asarray(((followed[:, known] - window.level[known]) ** 2).sum(axis=1))
 
 

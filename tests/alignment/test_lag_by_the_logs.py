@@ -81,7 +81,7 @@ def test_a_part_of_a_take_is_placed_in_it_and_nothing_is_said_of_a_robot_that_no
 
 def refined(walk: Walk, level: np.ndarray, lag_s: float) -> RefinedLag:
     course = PlacesAndLevel(cells_of(walk.xy_m)[None], 0, np.zeros(len(level), np.int64), level, 0)
-    lag = refine_lag([course], lag_s)
+    lag = refine_lag([[course]], lag_s)
     assert lag is not None
     return lag
 

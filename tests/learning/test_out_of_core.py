@@ -98,7 +98,8 @@ def test_estimates_and_judgements_look_at_as_many_executions_as_memory_takes(
     (again,) = estimate(model, logs, [TaskSequence("one way", ("home", "conveyor"))], **asked)
     assert again.durations_s == found.durations_s
     assert f"{part.executions.height} of 6 logged executions were used" in " ".join(again.warnings)
-    model = replace(model, card=structs.replace(model.card, dataset_sha256="another"))
+    other = structs.replace(model.card.split, train=("a",), validation=(), test=("b",))
+    model = replace(model, card=structs.replace(model.card, dataset_sha256="another", split=other))
     judged = evaluate(model, logs)
     assert len(judged.executions) == 2
     assert "2 of 6 executions are evaluated" in judged.notes[0]

@@ -32,21 +32,23 @@ _DENSE, _DENSE_STEP_S = 0.1, 1.2
 """A path whose median step is at most this share of its span was logged at intervals of at most so many seconds.
 Half and twice of the share change none of the tests of units."""
 _EVENT_STEP_S = 1e-3
-"""Least median interval between rows of events and states, s: a PLC's cycle."""
+"""Least median interval between rows of events and states, s: a PLC's cycle. Half and twice change no test of units."""
 _DATE_STEP_S = 600.0
 """Median interval of rows up to which a large number that is a date in one unit alone is that date, s; beyond it, a
-count of 11 to 20 days in ms may look like one in s since 1970."""
+count of 11 to 20 days in ms may look like one in s since 1970. Half and twice of it change no test of units."""
 _UPTIME_S = 3.2e7
-"""Longest time since the zero of a clock of its own, s: a year."""
+"""Longest time since the zero of a clock of its own, s: a year. Half changes no test of units; with twice, a count of
+WinCC's days is one of ms too."""
 _TASKS_S = (0.1, 86_400.0)
 """Range of the median duration of tasks, s: from a gripper's stroke to a day."""
 _FROM_ZERO = 10.0
-"""Minutes, hours and days are counted from the beginning of a recording: its start is at most so many spans away."""
+"""Minutes, hours and days are counted from the beginning of a recording: its start is at most so many spans
+away. Half and twice of it change no test of units."""
 _SPEEDS = {"robot": (0.02, 8.0), "people": (0.1, 5.0)}
 """Speed that the fastest hundredth of the rows has, m/s or rad/s: a slow gluing robot and the fastest joint; a person
-who walks at all, and one who runs."""
+who walks at all, and one who runs. Half of them changes no test of units; with twice, one contradiction is missed."""
 _MOVES = {"robot": 0.05, "people": 1.0}
-"""Least span of a path, m or rad, that is judged by its speed."""
+"""Least span of a path, m or rad, that is judged by its speed. Half and twice of it change no test of units."""
 _USUAL_S = np.array(
     [s * 10.0**e for e in range(-4, 2) for s in (1.0, 2.0, 2.5, 5.0)]
     + [0.004, 0.008, 0.012, 0.016, 0.024, 0.032, 0.04]

@@ -187,8 +187,8 @@ def _misfits(window: _Window, asked: Floats, rates: tuple[float, float]) -> Vect
     before = asked[:, 0]
     for row in range(len(window.level)):
         by = np.clip(asked[:, row] - now, -rates[0], rates[1])
-        ramps = np.abs(asked[:, row] - now) > 1.5 * np.abs(by)  # else the level jumps
-        now = now + np.where(ramps & (asked[:, row] != before), by / 2.0, by)  # a ramp begins within the step
+        begins = (now == before) & (np.abs(asked[:, row] - now) > 1.5 * np.abs(by))  # a ramp, not a jump
+        now = now + np.where(begins, by / 2.0, by)  # it begins within the step
         followed[:, row], before = now, asked[:, row]
     return np.asarray(((followed[:, known] - window.level[known]) ** 2).sum(axis=1))
 

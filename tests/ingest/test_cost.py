@@ -43,7 +43,8 @@ def test_calls_grow_with_the_executions_and_the_remaining_time_told_holds(tmp_pa
     square = {
         name: (few[name], calls)
         for name, calls in many.items()
-        if calls > 1.7 * TIMES * max(few[name], FEW) and "/cyclekit/" in name.replace("\\", "/")
+        if calls > 1.7 * TIMES * max(few[name], FEW)
+        and "/cyclekit/" in name.replace("\\", "/").split("/site-packages/")[-1]  # ours, wherever the environment is
     }
     assert square == {}
     whole = many.total()  # the clock of this test: it runs alike on every machine

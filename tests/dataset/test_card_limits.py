@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 from fabricated import fabricate_dataset
-from hypothesis import assume, given
-from hypothesis import strategies as st
 from known_cells import TrueStaircase
 from msgspec import inspect
 
@@ -214,10 +212,6 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")
 NONSENSE = ("nan", "-nan", "1e300", "-1e300", "-inf", "1e15", "-1e15")
 
 
-def numbers() -> list[tuple[str, int]]:
-    return [(name, at) for name, (text, _) in FILES.items() for at in range(len(NUMBER.findall(text)))]
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_the_files_of_these_tests_are_read(name: str, tmp_path: Path) -> None:
     text, read = FILES[name]
@@ -225,19 +219,19 @@ def test_the_files_of_these_tests_are_read(name: str, tmp_path: Path) -> None:
     assert read(tmp_path / name)
 
 
-@given(st.sampled_from(numbers()), st.sampled_from(NONSENSE))
-def test_a_number_that_cannot_be_is_refused_in_every_file_that_a_user_writes(
-    tmp_path_factory: pytest.TempPathFactory, number: tuple[str, int], nonsense: str
-) -> None:
-    name, at = number
+@pytest.mark.parametrize("name", FILES)
+def test_a_number_that_cannot_be_is_refused_in_every_file_that_a_user_writes(name: str, tmp_path: Path) -> None:
     text, read = FILES[name]
-    found = list(NUMBER.finditer(text))[at]
-    assume(not (nonsense == "1e15" and "ramp_" in text[: found.start()].rpartition("\n")[2]))  # without a ramp
-    file = tmp_path_factory.mktemp("files") / name
-    file.write_text(text[: found.start()] + nonsense + text[found.end() :], encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        read(file)
-    assert caught.value.cure
+    file = tmp_path / name
+    for found in NUMBER.finditer(text):
+        ramp = "ramp_" in text[: found.start()].rpartition("\n")[2]
+        for nonsense in NONSENSE:
+            if ramp and nonsense in {"1e300", "1e15"}:  # without a ramp
+                continue
+            file.write_text(text[: found.start()] + nonsense + text[found.end() :], encoding="utf-8")
+            with pytest.raises(ConfigError) as caught:
+                read(file)
+            assert caught.value.cure
 
 
 FREE = {"Note.values"}

@@ -111,11 +111,14 @@ class LimitChange:
     y_m: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse an empty change, a negative threshold, or a rectangle without extent.
+        """Refuse an empty change, an invalid level, a negative threshold, or a rectangle without extent.
 
         Raises:
             ValueError: It is one of these.
         """
+        if not 0 <= self.level <= 1:
+            msg = f"limit of level {given(self.level)}: a level must be between 0 and 1"
+            raise ValueError(msg)
         if self.threshold_m is None and self.x_m is None and self.y_m is None:
             msg = f"limit of level {given(self.level)}: give threshold_m, x_m or y_m"
             raise ValueError(msg)

@@ -18,6 +18,7 @@ from cyclekit.estimate.cycle.estimators import ESTIMATORS
 from cyclekit.estimate.cycle.walk import Rolled, roll_out
 from cyclekit.estimate.cycles import cycles_of
 from cyclekit.estimate.entry import entry_of
+from cyclekit.estimate.interludes import robot_interludes, robot_order, with_interludes
 from cyclekit.estimate.joint.answer import estimate_both, waits_are_known
 from cyclekit.estimate.joint.check import JointCheck
 from cyclekit.estimate.limits import (
@@ -32,7 +33,6 @@ from cyclekit.estimate.limits import (
 )
 from cyclekit.estimate.operator.tracks import OperatorTracks
 from cyclekit.estimate.ranked import Unranked, ranked
-from cyclekit.estimate.repeats import robot_order, robot_repeats, with_repeats
 from cyclekit.estimate.robot.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.robot.program import Program, lay_out
 from cyclekit.estimate.robot.signal_states import on_states_of
@@ -122,8 +122,8 @@ def estimate(
                 ask, some, validate=validate, other_cell=other_cell, refuse=refused or _raised, tell=tell
             )
         done += len(some)
-    repeats = robot_repeats(dataset) if found else ()
-    return ranked([one._replace(entry=with_repeats(one.entry, repeats, robot_order(one.entry))) for one in found])
+    logged = robot_interludes(dataset) if found else ()
+    return ranked([one._replace(entry=with_interludes(one.entry, logged, robot_order(one.entry))) for one in found])
 
 
 def _estimate_robot(

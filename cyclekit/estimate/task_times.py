@@ -9,14 +9,13 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from cyclekit.errors import CyclekitError, EstimateError
-from cyclekit.estimate.repeats import with_repeats
+from cyclekit.estimate.interludes import with_interludes
 from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, TaskShare
 from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, conformal, most_outside
 from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.estimate.statistics.resample import RESAMPLES, Z95
 from cyclekit.estimate.statistics.same_work import by_work
 from cyclekit.estimate.task_doubts import findings_of_plan, never_in_a_row, planned_starts_not_kept
-from cyclekit.learning.repeats import Repeated
 from cyclekit.learning.task_times.prepared import agent_of
 from cyclekit.learning.task_times.roll import BY_PART, BY_PLAN, OWN, SimulatedPlan, roll_plan
 from cyclekit.learning.task_times.runs import FAILED
@@ -61,11 +60,10 @@ def estimate_plans(
         progress: Called with the fraction done.
     """
     found = []
-    repeats = repeats_of(model)
     for number, sequence in enumerate(sequences):
         try:
             entry = _estimated(model, sequence, quantiles, takt_s, seed)
-            found.append(with_repeats(entry, repeats, _orders(model, sequence)))
+            found.append(with_interludes(entry, model.interludes, _orders(model, sequence)))
         except EstimateError as error:
             refused(sequence, error)
         except CyclekitError as error:
@@ -75,11 +73,6 @@ def estimate_plans(
             progress((number + 1) / len(sequences), sequence.name)
     groups = (sorted(some, key=lambda each: each.expected_s) for some in by_work(found).values())
     return [each for some in groups for each in _compared(some)]
-
-
-def repeats_of(model: TaskModelCard) -> list[Repeated]:
-    """Return the tasks that the logs repeat."""
-    return [Repeated(one.agent, one.task, one.visits, one.again, one.usual_s) for one in model.tasks if one.again]
 
 
 def _orders(model: TaskModelCard, sequence: TaskSequence) -> dict[str, list[str]]:

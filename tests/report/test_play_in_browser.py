@@ -110,7 +110,7 @@ def test_orders_and_changes_have_the_numbers_of_the_library(tab, cell):
 def test_orders_that_lack_repeated_visits_have_the_numbers_of_the_library(tab, logged, tmp_path):
     data, page = Dataset.open(logged.path), tmp_path / "page.html"
     given = estimate(staircase(), data, ORDERS, takt_s=TAKT_S, other_cell=True)
-    assert all(any(one.code == "repeats" for one in each.findings) for each in given)
+    assert all(any(one.code == "interludes" for one in each.findings) for each in given)
     longest = max(given, key=lambda each: each.nominal_s)
     compose_report(data, staircase(), page, estimates=[longest], check=longest.check, takt_s=TAKT_S)
     tab.show(page)

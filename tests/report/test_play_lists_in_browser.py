@@ -206,6 +206,6 @@ def test_plans_that_lack_repeated_tasks_have_the_numbers_of_the_library(tab, tmp
         for at, name in enumerate("ppq" if run % 5 == 0 else "pq")
     ]
     model = model_of(rows, tmp_path)
-    assert any(task.again for task in model.card.tasks)
+    assert model.card.interludes
     orders = [TaskSequence.of_plan(order, [PlannedTask("arm", name) for name in order]) for order in ("pq", "ppq")]
     plans_are_the_same(tab, tmp_path, model, orders)

@@ -341,7 +341,7 @@ def test_an_order_that_lacks_repeated_visits_has_the_numbers_of_the_library(tab,
     data, model = Dataset.open(logged.path), replace(staircase(), card=TrainingCard(coupling=CARD))
     asked = {"takt_s": TAKT_S, "other_cell": True, "extrapolate": True}
     (given,) = estimate(model, data, [TaskSequence("places", ROBOT, OPERATOR)], **asked)
-    assert any(one.code == "repeats" for one in given.findings)
+    assert any(one.code == "interludes" for one in given.findings)
     page = tmp_path / "page.html"
     compose_report(data, model, page, estimates=[given], check=given.check, takt_s=TAKT_S)
     tab.show(page)

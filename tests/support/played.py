@@ -17,11 +17,11 @@ from cyclekit import estimate_cycles, write_report
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.cards.rule import PoseCard
+from cyclekit.dataset.cards.task_model import InterludeCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.whatif.change import Change, LimitChange
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.learning.networks.weights import Weights
-from cyclekit.learning.repeats import Repeated
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
@@ -204,10 +204,14 @@ def same(found: dict[str, Any], wanted: CycleEstimate, *, within: float = 2e-3) 
 
 @pytest.fixture
 def repeated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The logs of a cell repeat visits of the conveyor."""
-    found = [Repeated("robot", "conveyor", 40, 12, took_s=4.0), Repeated("robot", "nowhere", 9, 9, took_s=9.0)]
+    """The logs of a cell repeat visits of the conveyor, and change tools before it."""
+    found = [
+        InterludeCard("robot", "conveyor", ("conveyor",), visits=40, times=12, took_s=4.0),
+        InterludeCard("robot", "tools", ("nowhere", "conveyor"), visits=40, times=9, took_s=6.0),
+        InterludeCard("robot", "nowhere", ("nowhere",), visits=9, times=9, took_s=9.0),
+    ]
     for module in ("cyclekit.estimate.rollout", "cyclekit.report.play.tables"):
-        monkeypatch.setattr(f"{module}.robot_repeats", lambda _: found)
+        monkeypatch.setattr(f"{module}.robot_interludes", lambda _: found)
 
 
 @pytest.fixture(scope="module", autouse=True)

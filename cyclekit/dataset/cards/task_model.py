@@ -9,7 +9,7 @@ from msgspec import Meta, field
 
 from cyclekit.dataset.cards.coupling import refuse_circles
 from cyclekit.dataset.cards.notes import Note
-from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Lag, Name, Seconds, Work
+from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Lag, Name, Positive, Seconds, Work
 from cyclekit.text.numbers import fixed, percent
 
 if TYPE_CHECKING:
@@ -65,6 +65,25 @@ class JointCard(Card, frozen=True, kw_only=True):
     times: Count = 0
 
 
+class InterludeCard(Card, frozen=True):
+    """A task, or a visit of a place, that an agent does now and then beside its work.
+
+    Attributes:
+        agent, task: Whose it is, and its name.
+        before: The tasks that follow it; itself alone: it is done again right after itself.
+        visits: How often these were done in all executions, without repetitions.
+        times: How often the interlude came before one of them.
+        took_s: By how much it made an execution longer on average, s.
+    """
+
+    agent: Name
+    task: Name
+    before: Annotated[tuple[Name, ...], Meta(min_length=1)]
+    visits: Positive
+    times: Count
+    took_s: Work
+
+
 class PartsCard(Card, frozen=True, kw_only=True):
     """Parts that a task begins with, such as those of a conveyor; no task list tells when they come.
 
@@ -109,7 +128,6 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         own_position: Factor on the work at its own position in its agent's order: first, second ...
         lags_s: Time from when it might start to its start, in each repetition.
         need_lags_s: The same where a needed task ended last, if clearly different; then `lags_s` is of the others.
-        visits, again: How often it was done, and how often some executions did it again right after itself; 0 if none.
     """
 
     agent: Name
@@ -133,8 +151,6 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     parts: PartsCard | None = None
     lags_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=PAST)]
     need_lags_s: Annotated[tuple[Lag, ...], Meta(max_length=PAST)] = ()
-    visits: Count = 0
-    again: Count = 0
 
     @property
     def waits_for(self) -> list[str]:
@@ -256,6 +272,7 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     Attributes:
         agents: `robot` or `operator` by the agent's name in the logs.
         tasks: Tasks of all agents.
+        interludes: What agents do now and then beside their work.
         pace: Trends of agents whose pace changes; `work_s` is at the pace of the last execution.
         clocks: Agents whose clock is off, by name.
         before_plan: Agents who do not keep to planned starts, by name: share of the starts before their planned start,
@@ -271,6 +288,7 @@ class TaskModelCard(Card, frozen=True, kw_only=True):
     dataset: str = ""
     agents: dict[str, Literal["robot", "operator"]]
     tasks: Annotated[tuple[TaskTimesCard, ...], Meta(min_length=1)]
+    interludes: tuple[InterludeCard, ...] = ()
     pace: dict[str, PaceCard] = field(default_factory=dict)
     clocks: dict[str, ClockErrorCard] = field(default_factory=dict)
     before_plan: dict[str, Fraction] = field(default_factory=dict)

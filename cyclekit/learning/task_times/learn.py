@@ -13,7 +13,7 @@ from cyclekit.config import Wait
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, JointCard, PaceCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, UnknownName, command_line
-from cyclekit.learning.repeats import Repeated, find_repeats
+from cyclekit.learning.interludes import find_interludes
 from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
@@ -182,18 +182,24 @@ def _learned(
     pace = {agent: found for agent, found in paces.items() if found}
     starts = {agent: learn_starts(runs, agent, told[agent]) for agent in sorted({agent for agent, _ in pairs})}
     starts = needed_together(starts)
-    again = {(one.agent, one.name): one for agent in agents for one in find_repeats(agent, _done(runs, agent))}
+    interludes = tuple(one for agent in agents for one in find_interludes(agent, _done(runs, agent)))
     tasks = tuple(
-        _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair), again.get(pair))
-        for pair in pairs
+        _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair)) for pair in pairs
     )
     early = starts_before_plan(runs)
-    return TaskModelCard(agents=dict(agents), tasks=tasks, pace=pace, before_plan=early, executions=len(runs))  # type: ignore[arg-type]  # of these two
+    return TaskModelCard(
+        agents=dict(agents),  # type: ignore[arg-type]  # of these two
+        tasks=tasks,
+        interludes=interludes,
+        pace=pace,
+        before_plan=early,
+        executions=len(runs),
+    )
 
 
-def _done(runs: Sequence[Run], agent: str) -> list[list[tuple[str, float]]]:
-    """Return the tasks of an agent in each execution, with their durations, s."""
-    return [[(done.task, done.took_s) for done in run.tasks.get(agent, ())] for run in runs]
+def _done(runs: Sequence[Run], agent: str) -> list[list[tuple[str, float, float]]]:
+    """Return the tasks of an agent in each execution, with their durations and without a wait within them, s."""
+    return [[(done.task, done.took_s, 0.0) for done in run.tasks.get(agent, ())] for run in runs]
 
 
 def _sessions(runs: Sequence[Run]) -> Ints:
@@ -218,7 +224,6 @@ def _task(
     rates: TaskRates,
     pace: PaceCard | None,
     joint: JointCard | None,
-    again: Repeated | None,
 ) -> TaskTimesCard:
     now = 1.0 / pace.factor(rates.number) if pace else np.ones(len(rates.number))
     return TaskTimesCard(
@@ -243,8 +248,6 @@ def _task(
         parts=starts.parts,
         lags_s=_kept(starts.lags_s),
         need_lags_s=_kept(starts.need_lags_s),
-        visits=again.visits if again else 0,
-        again=again.times if again else 0,
     )
 
 

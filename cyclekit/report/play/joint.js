@@ -174,7 +174,7 @@ const entryOfBoth = ({ cycles, log, robot, operator, both }) => { // JointAnswer
   const durations = Float64Array.from({ length: facts.cycles }, (_, n) => cycles[n % cycles.length].duration_s * factor);
   const scores = tables.shifts && sharedOf();
   const shared = scores && durations.map((_, n) => scores[cycles[n % cycles.length].cycle]);
-  const [expected, single, more] = [mean(durations), singleOfBoth(durations), repeatsIn_s({ robot: robot.map((name) => name.split("->").pop()) })];
+  const [expected, single, more] = [mean(durations), singleOfBoth(durations), interludesIn_s({ robot: robot.map((name) => name.split("->").pop()) })];
   const spread = sorted(inDraws(durations, shared).map((value, row) => value * (1 + error * tables.errors[row])));
   const tell = (start_s, end_s, wait_s) => ({
     start_s: factor * mean(start_s), end_s: factor * mean(end_s), wait_s: factor * mean(wait_s),

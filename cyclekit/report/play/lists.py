@@ -8,9 +8,9 @@ import numpy as np
 
 from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, most_outside
 from cyclekit.estimate.statistics.resample import Z95
-from cyclekit.estimate.task_times import CYCLES, LEVELS, SURE_BIAS, repeats_of, widening
+from cyclekit.estimate.task_times import CYCLES, LEVELS, SURE_BIAS, widening
 from cyclekit.learning.task_times.prepared import agent_of, prepared
-from cyclekit.report.play.tables import SEED, repeats_told
+from cyclekit.report.play.tables import SEED, interludes_told
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,7 +70,7 @@ def tables_of_lists(card: TaskModelCard, shown: Sequence[CycleEstimate], takt_s:
         "executions": card.executions,
         "check": None if judged is None else {name: getattr(judged, name) for name in names},
         "paces": PACES,
-        "repeats": repeats_told(repeats_of(card)),
+        "interludes": interludes_told(card.interludes),
     }
     return facts, arrays
 

@@ -38,10 +38,11 @@ const shifted = (ordered, less, more) => { // CycleDistribution.shifted
   return ordered.map((value) => value + (value < middle ? less : value > middle ? more : 0));
 };
 
-const repeatsIn_s = (orders) => facts.repeats.reduce((sum, { agent, name, share, took_s }) => { // repeats.with_repeats
-  const order = orders[agent] || [];
-  const itself = order.some((each, n) => each === name && order[n + 1] === name);
-  return itself ? sum : sum + order.filter((each) => each === name).length * share * took_s;
+const interludesIn_s = (orders) => facts.interludes.reduce((sum, { agent, task, before, most_s }) => {
+  const order = orders[agent] || []; // interludes.with_interludes
+  const again = before.length === 1 && before[0] === task;
+  const asked = again ? order.some((each, n) => each === task && order[n + 1] === task) : order.includes(task);
+  return asked ? sum : sum + order.filter((each) => before.includes(each)).length * most_s;
 }, 0);
 
 const inResamples = (values, which) => { // the mean of the values of these tracks in each resample of the executions
@@ -165,7 +166,7 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
   const slower = lost > 0 ? Math.max(1 + ((means.factor - 1) * mean(cycles.duration_s)) / lost, 0) : 1;
   const nominal = legs.reduce((sum, leg) => sum + leg.nominal_s, 0);
   const [less, ofWork] = widthOf(legs);
-  const more = ofWork + repeatsIn_s({ robot: legs.map((leg) => leg.name.split("->")[1]) });
+  const more = ofWork + interludesIn_s({ robot: legs.map((leg) => leg.name.split("->")[1]) });
   const single = shifted(sorted(alone), less, more);
   const stands = cycles.stand_s.reduce((sum, value) => sum + value, 0);
   const stretch = stands > 0 ? (expected - nominal - lost * slower) / stands : 0;

@@ -272,7 +272,7 @@ const entryOfList = (tasks, rolled, asked) => {
   const single = singleOf(durations.map((value) => value * factor), paceError);
   const orders = {};
   for (const task of tasks) (orders[task.agent] = orders[task.agent] || []).push(task.name);
-  const more = repeatsIn_s(orders);
+  const more = interludesIn_s(orders);
   const ordered = shifted(sorted(single), 0, more);
   return {
     expected_s: expected,

@@ -12,8 +12,8 @@ import numpy as np
 
 from cyclekit.estimate.cycle.engine import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S
 from cyclekit.estimate.cycle.spread import logged_support
+from cyclekit.estimate.interludes import most_s, robot_interludes
 from cyclekit.estimate.operator.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.repeats import robot_repeats
 from cyclekit.estimate.robot.nominal import nominal_tasks
 from cyclekit.estimate.robot.program import standstills_of
 from cyclekit.estimate.robot.safety import Dynamics, OnStates, SafetyModel, at_once, is_fast
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards.task_model import InterludeCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.robot.nominal import NominalTask
     from cyclekit.estimate.robot.work_dwells import Group
     from cyclekit.estimate.validation.check import Check
-    from cyclekit.learning.repeats import Repeated
     from cyclekit.report.inputs import PageInputs
     from cyclekit.schema import Floats
 
@@ -125,15 +125,13 @@ def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: 
         "follows": not at_once(model, dynamics),
         "often": is_fast(model),
         "away": {"part": AWAY, "points": LOOKED_AT},
-        "repeats": repeats_told(robot_repeats(dataset)),
+        "interludes": interludes_told(robot_interludes(dataset)),
     }
 
 
-def repeats_told(repeats: Sequence[Repeated]) -> list[dict[str, Any]]:
-    """Return what the logs repeat: how many repetitions a visit has, and how long one takes."""
-    return [
-        {"agent": one.agent, "name": one.name, "share": one.times / one.visits, "took_s": one.took_s} for one in repeats
-    ]
+def interludes_told(interludes: Sequence[InterludeCard]) -> list[dict[str, Any]]:
+    """Return the interludes of the logs, each with the most that it adds to a task before which it may come, s."""
+    return [{"agent": one.agent, "task": one.task, "before": one.before, "most_s": most_s(one)} for one in interludes]
 
 
 def scaling_source(

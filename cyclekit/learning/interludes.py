@@ -1,0 +1,126 @@
+"""What an agent does now and then beside its work: a pick done again, a tool change, a refill.
+
+An order that is asked for names each task of the work once, so it lacks these interludes until it is known how often
+they come. Tasks of the work are bound to each other: what is picked is placed, and a product has all its steps. How
+often an interlude comes follows from no other task. A step that only some products have, with all their other tasks,
+looks the same.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.cards.task_model import InterludeCard
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cyclekit.schema import Floats, Vector
+
+HALF = 0.5
+"""Minimum share of how often a task is done that no other task explains, for an interlude; and minimum number of visits
+more for each time that a task follows itself, for a repetition. It is 0 for work and 1 for what comes by itself, and
+this is the middle: 0.25 and 0.9 find the same in the simulated cells."""
+TINY = 1e-9
+"""Sum of squares that is rounding alone: the other tasks tell how often this one is done."""
+
+
+def find_interludes(agent: str, executions: Iterable[Sequence[tuple[str, float, float]]]) -> list[InterludeCard]:
+    """Return the interludes of an agent.
+
+    Args:
+        agent: The agent.
+        executions: Its tasks in each execution in order: name, duration without waits, and wait, s.
+    """
+    every = list(executions)
+    names = list(dict.fromkeys(name for done in every for name, _, _ in done))
+    if not names:
+        return []
+    count = np.array([[sum(name == other for other, _, _ in done) for name in names] for done in every], np.float64)
+    again = np.zeros_like(count)
+    for number, done in enumerate(every):
+        for (before, _, _), (name, _, _) in pairwise(done):
+            again[number, names.index(name)] += name == before
+    once = count - again
+    free = [name for at, name in enumerate(names) if _unexplained(once, at) > HALF]
+    if 2.0 * once[:, [names.index(name) for name in free]].sum() > once.sum():
+        free = []  # executions of any tasks: these are the work
+    repeated = [name for at, name in enumerate(names) if again[:, at].any() and _more(count, again, at) >= HALF]
+    found = [
+        *(_repeated(agent, every, name) for name in repeated),
+        *(_visited(agent, every, name, free) for name in free),
+    ]
+    return [one for one in found if one is not None]
+
+
+def _repeated(agent: str, every: Sequence[Sequence[tuple[str, float, float]]], name: str) -> InterludeCard:
+    """Return the repetitions of a task."""
+    visits = sum(one[0] == name for done in every for one in done)
+    took_s = [after[1] for done in every for before, after in pairwise(done) if before[0] == after[0] == name]
+    times = len(took_s)
+    return InterludeCard(agent, name, (name,), visits - times, times, float(np.mean(took_s)))
+
+
+def _visited(
+    agent: str, every: Sequence[Sequence[tuple[str, float, float]]], name: str, free: Sequence[str]
+) -> InterludeCard | None:
+    """Return an interlude on the way to other tasks, which it makes longer or shorter; None if no other follows it."""
+    own_s, after_s, otherwise_s = list[float](), dict[str, list[float]](), dict[str, list[float]]()
+    for done in every:
+        spent_s, before = 0.0, ""
+        for task, took_s, wait_s in done:
+            if task == name:
+                spent_s += took_s + wait_s
+            elif task not in free:
+                if spent_s:
+                    own_s.append(spent_s)
+                    after_s.setdefault(task, []).append(took_s)
+                elif before != task:
+                    otherwise_s.setdefault(task, []).append(took_s)
+                spent_s = 0.0
+            before = task
+    if not own_s:
+        return None
+    more_s = sum(sum(some) - len(some) * np.mean(otherwise_s.get(task, some)) for task, some in after_s.items())
+    visits = sum(map(len, after_s.values())) + sum(len(otherwise_s.get(task, ())) for task in after_s)
+    took_s = max((sum(own_s) + float(more_s)) / len(own_s), 0.0)
+    return InterludeCard(agent, name, tuple(after_s), visits, len(own_s), took_s)
+
+
+def _unexplained(count: Floats, at: int) -> float:
+    """Return the share of the variance of how often task `at` was done that the other tasks do not explain.
+
+    Args:
+        count: How often each task was done, shape (executions, tasks).
+        at: Number of the task.
+    """
+    others = np.column_stack([np.ones(len(count)), np.delete(count, at, axis=1)])
+    rest, free = _rest(others, count[:, at]), len(count) - int(np.linalg.matrix_rank(others))
+    if free < 1 or rest @ rest <= TINY:
+        return 0.0
+    return float(rest @ rest) / free / float(count[:, at].var(ddof=1))
+
+
+def _more(count: Floats, again: Floats, at: int) -> float:
+    """Return how many visits more an execution has for each time that task `at` follows itself; 0 if unknown.
+
+    Tasks that one order puts in a row, and another does not, are no repetitions: the execution has no more of them. Nor
+    are those that a product of several needs more often: its executions differ in other tasks too.
+
+    Args:
+        count: How often each task was done, shape (executions, tasks).
+        again: How often right after itself, likewise.
+        at: Number of the task.
+    """
+    others = np.column_stack([np.ones(len(count)), np.delete(count - again, at, axis=1)])
+    rest = _rest(others, again[:, at])
+    known = float(rest @ rest)
+    return float(rest @ count[:, at]) / known if known > TINY else 0.0
+
+
+def _rest(others: Floats, values: Vector) -> Vector:
+    """Return what a linear combination of columns (N, K) does not explain of values (N,)."""
+    return np.asarray(values - others @ np.linalg.lstsq(others, values, rcond=None)[0])

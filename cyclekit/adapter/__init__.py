@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
 from cyclekit.storage.safe_path import safe_path
 from cyclekit.storage.scratch import Scratch as Scratch  # for adapters that need a copy of a log
@@ -54,6 +54,20 @@ class ReadOptions:
     columns: tuple[str, ...] = ()
 
 
+class TimeUnit(NamedTuple):
+    """A unit in which a log may count its time.
+
+    Attributes:
+        name: Its name in the cell file.
+        seconds: One count, s; 0 for a count of rows.
+        zero_s: Zero of the count, s since 1970; None if the log sets it.
+    """
+
+    name: str
+    seconds: float
+    zero_s: float | None = None
+
+
 @dataclass(frozen=True)
 class Recording:
     """Content of one log, in SI units, in its own clock and frame.
@@ -68,6 +82,8 @@ class Recording:
         stamps: Table STAMPS with device time and host time of each message, or None if the log does not hold both.
         clock: `epoch` (s since 1970), `uptime` (since a controller or PC started) or `relative` (since the
             recording began). All tables of one log share it.
+        time_units: Units that its times may have, while it does not tell; the first is the one used. `ingest` proves
+            one by the log's other logs, or refuses. Empty: the unit is known.
         up: Vertical axis of the people's frame: trackers differ ("y" for Motive).
         joint_names: Names of the joints of `q0_rad`, `q1_rad`, ..., in that order.
         rows_are: Unit of `source_row`: a `line` of a text file (from 1, as in editors), a `row` of a binary
@@ -88,6 +104,7 @@ class Recording:
     skeletons: pl.DataFrame | None = None
     stamps: pl.DataFrame | None = None
     clock: ClockKind = "relative"
+    time_units: tuple[TimeUnit, ...] = ()
     up: Literal["y", "z"] = "z"
     joint_names: tuple[str, ...] = ()
     rows_are: RowKind = "row"
@@ -101,6 +118,14 @@ class Recording:
         """Return the tables that are not None, by name."""
         named = {name: getattr(self, name) for name in TABLES}
         return {name: table for name, table in named.items() if table is not None}
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """The warnings, with one about a unit of time that is open."""
+        first, *others = [unit.name for unit in self.time_units] or [""]
+        may = f"the unit of its times is not stated: read as {first}, they may also be {' or '.join(others)}"
+        cure = f'give time_unit = "{first}" (or another of these) in [sources.map] of the cell file'
+        return (*self.warnings, f"{may}; {cure}") if others else self.warnings
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ class _Parts:
     def _note(self, part: Recording) -> None:
         self.rows_read += part.rows_read
         self.set_aside += 0 if part.set_aside is None else part.set_aside.height
-        self.warnings = tuple(dict.fromkeys([*self.warnings, *part.warnings]))
+        self.warnings = tuple(dict.fromkeys([*self.warnings, *part.said]))
 
 
 def _write(

@@ -44,6 +44,7 @@ from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
 from cyclekit.ingest.free_text import Words
 from cyclekit.ingest.log_spans import robots_at_once, with_span_notes
+from cyclekit.ingest.open_units import prove_units
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
 from cyclekit.ingest.read.read_logs import Digests, ReadSettings, check_shared, read_all
 from cyclekit.ingest.read.resume import ResumeStore
@@ -233,13 +234,19 @@ def _build(
         not_read.append((shown.get(error.path, str(error.path)), error.cause))
     if not wanted.cell.accept_bad_logs:
         refuse_bad(wanted.logs, read, result.failed, not_read)
-    gather_quarantine(read, staging)
     cell = wanted.cell
     sources = {log.id: log.source for log in wanted.logs}
     shares = partial(may_be_shared, sources=sources)
-    groups = group_sessions(read, partial(_is_reference, cell), numbered=names is not None, shares=shares)
-    groups = with_empty(groups, _empty_people(wanted.logs, read, result.failed))
     native, stored = partial(_native, staging), partial(_stored, staging)
+    grouped = partial(
+        group_sessions, is_reference=partial(_is_reference, cell), numbered=names is not None, shares=shares
+    )
+    groups = grouped(read)
+    if proven := prove_units(wanted.logs, groups, native, digests, staging, wanted.settings):
+        read = [proven.get(card.id, card) for card in read]
+        groups = grouped(read)
+    gather_quarantine(read, staging)
+    groups = with_empty(groups, _empty_people(wanted.logs, read, result.failed))
     divided = divide_restarted(groups, sources, native, stored, staging)
     shared = split_shared(divided.groups, native, staging)
     groups, copies = shared.groups, {**divided.copies, **shared.copies}

@@ -120,7 +120,7 @@ def _describe_log(log: Log) -> LogFacts:
         if part.set_aside is not None:
             for reason, count in part.set_aside.group_by("reason").len().iter_rows():
                 set_aside[reason] = set_aside.get(reason, 0) + count
-        warnings |= dict.fromkeys(part.warnings)
+        warnings |= dict.fromkeys(part.said)
     levels, share = surveys["robot"].levels() if "robot" in surveys else ((), ())
     return LogFacts(
         path=log.path,

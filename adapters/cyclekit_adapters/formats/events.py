@@ -3,7 +3,7 @@
 Goal buttons, exports of PLC tags and digital inputs are logged in two forms. In the long form each row is one change of
 one signal. In the wide form each row holds the states of all signals; the first states and all changes become events.
 Columns are found by their usual names, English and German. Times are dates, times of day, or numbers whose unit is
-proven; others are refused. Values remain text.
+proven, or left open for `ingest`, which has other logs. Values remain text.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ class _EventCsv:
             return Recording(
                 events=events,
                 clock=clock,
+                time_units=times.time_units,
                 rows_are="line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,

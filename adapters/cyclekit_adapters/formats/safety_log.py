@@ -89,6 +89,7 @@ class _SafetyCsv:
             return Recording(
                 safety=_table(rows.frame, columns, settings.full, seen),
                 clock=clock,
+                time_units=times.time_units,
                 rows_are="line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,

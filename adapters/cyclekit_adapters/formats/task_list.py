@@ -77,6 +77,7 @@ class _TaskList:
         return Recording(
             task_list=found.rows,
             clock=found.clock,
+            time_units=found.time_units,
             rows_are=cells.rows_are,
             rows_read=cells.rows_read,
             set_aside=pl.concat([aside, found.set_aside.cast(pl.Schema(SET_ASIDE))]).sort("source_row"),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cyclekit.adapter import ClockKind
+    from cyclekit.adapter import ClockKind, TimeUnit
     from cyclekit_adapters.tasks.task_columns import Settings
 
 DONE = {"1", "1.0", "true", "yes", "done", "ok", "success", "successful", "succeeded", "complete", "completed",
@@ -42,6 +42,7 @@ class TaskTable:
         rows: Table TASK_LIST, ordered by start.
         set_aside: Columns `source_row`, `reason`.
         clock: Kind of clock.
+        time_units: Units that the times may have, while they are not proven.
         warnings: One sentence each.
         facts: Interpretation of its columns.
     """
@@ -49,6 +50,7 @@ class TaskTable:
     rows: pl.DataFrame
     set_aside: pl.DataFrame
     clock: ClockKind
+    time_units: tuple[TimeUnit, ...] = ()
     warnings: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
 
@@ -97,7 +99,7 @@ def task_table(
         *_plan_warnings(good),
         *clocks.warnings,
     ]
-    return TaskTable(rows, aside, clocks.clock, tuple(warnings), clocks.facts)
+    return TaskTable(rows, aside, clocks.clock, clocks.time_units, tuple(warnings), clocks.facts)
 
 
 def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:

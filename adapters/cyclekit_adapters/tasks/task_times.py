@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from cyclekit.adapter import ClockKind
+    from cyclekit.adapter import ClockKind, TimeUnit
     from cyclekit_adapters.tasks.task_columns import Settings
     from cyclekit_adapters.times.units import Unit
 
@@ -52,12 +52,14 @@ class Clocks:
     Attributes:
         clock: Kind of clock of starts and ends.
         plan: Reference of planned times: `clock` (same clock), `execution` (start of the execution), None (no plan).
+        time_units: Units that the times may have, while they are not proven.
         warnings: What the user should know, one sentence each.
         facts: Interpretation of each column.
     """
 
     clock: ClockKind
     plan: str | None
+    time_units: tuple[TimeUnit, ...]
     warnings: tuple[str, ...]
     facts: Mapping[str, str]
 
@@ -121,7 +123,7 @@ def with_seconds(
     facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}
     if plan is not None:
         facts["plan counts from"] = "the start of each execution" if plan == "execution" else "the zero of the log"
-    return cells, Clocks("epoch" if zoned else "relative", plan, tuple(warnings), facts)
+    return cells, Clocks("epoch" if zoned else "relative", plan, start.time_units, tuple(warnings), facts)
 
 
 def _times(
@@ -159,7 +161,7 @@ def _times(
     if not times.known and start is not None and not start.pattern and start.units:
         unit = start.units[0]._replace(zero_s=None, local=False)
         times = replace(times, units=(unit,), why=f"in the unit of {start.columns[0]}")
-    times = settled(path, times if key != "duration" else replace(times, assumed=None))
+    times = settled(path, times if key == "start" else replace(times, may_be=()))
     if _zone_named(times) is False and cells[key].str.contains(_ZONED).any():
         cause = f"some times of column {name!r} name their time zone and some do not"
         if settings.zone is None:

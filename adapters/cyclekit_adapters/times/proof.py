@@ -57,6 +57,8 @@ _USUAL_S = np.array(
 """Sampling intervals that controllers, cameras and trackers have, s."""
 _EXACT = 1e-3
 """Relative precision to which a median interval is a usual one: that of times written with three digits."""
+_SAMPLES = 10
+"""Intervals from which rows are known to come at one. Half and twice of it change no test of units."""
 _TWO_TIMES = 0.02
 """Maximum relative difference of two times of one row; units differ by 60 or more, the drift of clocks is below 1 %."""
 _TICKS = {"10 ns", "100 ns", "10 us", "1/100 s", "1/10 s", "filetime", "ticks"}
@@ -177,7 +179,7 @@ def prove(values: Vector, evidence: TimeEvidence) -> Proof:
     if len(dated) == 1 and middle > _UPTIME_S and step * dated[0].seconds <= _DATE_STEP_S:
         left = dated  # no clock of its own counts so much
     usual = [unit for unit in left if unit.name == FRAME or _is_usual(step * unit.seconds)]
-    if evidence.of and usual and not any(unit.zero_s is not None for unit in left):
+    if (evidence.of or _is_even(steps)) and usual and not any(unit.zero_s is not None for unit in left):
         left = usual
     if not left:
         return Proof((), "", _contradicted(excluded, evidence), excluded)
@@ -328,6 +330,12 @@ def _by_name(named: Unit, left: list[Unit], excluded: dict[str, str], evidence: 
 def _contradicted(excluded: dict[str, str], evidence: TimeEvidence) -> str:
     most = "; ".join(f"{name}: {reason}" for name, reason in excluded.items() if name in ("ms", "s", "min"))
     return f"no unit of time fits it ({most})"
+
+
+def _is_even(steps: Vector) -> bool:
+    """Return whether rows come at one interval: samples, as those of a path, and no changes."""
+    usual = float(np.median(steps)) if len(steps) >= _SAMPLES else 0.0
+    return usual > 0.0 and bool((np.abs(steps - usual) < _EXACT * usual).mean() > 1.0 - _TWO_TIMES)
 
 
 def _is_usual(interval_s: float) -> bool:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.adapter import TimeUnit
 from cyclekit.errors import LogError
 from cyclekit_adapters.text.delimited import INDEX
 from cyclekit_adapters.times.proof import prove
-from cyclekit_adapters.times.units import COUNTED, EARLIEST_S, LATEST_S
+from cyclekit_adapters.times.units import COUNTED, EARLIEST_S, FRAME, LATEST_S
 from cyclekit_adapters.times.written_time import forms_of, is_dated, names_zone, written_seconds
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class TimeColumn:
         why: Evidence for this interpretation.
         sample: The first time as written.
         zoned: The times name their time zone.
-        assumed: Unit of numbers with fractions that may be seconds and something else, while it is not stated.
+        may_be: Units that numbers may have, the likeliest first, while the evidence in the log leaves several.
     """
 
     columns: tuple[str, ...]
@@ -48,7 +49,7 @@ class TimeColumn:
     why: str = ""
     sample: str = ""
     zoned: bool = False
-    assumed: Unit | None = None
+    may_be: tuple[Unit, ...] = ()
 
     @property
     def known(self) -> bool:
@@ -65,13 +66,17 @@ class TimeColumn:
         return "epoch" if self._dated and (zone or not self.is_local) else "relative"
 
     @property
+    def time_units(self) -> tuple[TimeUnit, ...]:
+        """The units that the times may have, for `Recording.time_units`; empty if the unit is known."""
+        counts = ((unit.name, 0.0 if unit.name == FRAME else unit.seconds, unit.zero_s) for unit in self.may_be)
+        return tuple(TimeUnit(*count) for count in counts)
+
+    @property
     def _dated(self) -> bool:
         return is_dated(self.pattern) if self.pattern else any(unit.zero_s is not None for unit in self.units)
 
     def warnings(self, zone: str | None) -> list[str]:
-        """Return a warning if the unit is assumed, or times cannot be aligned with other logs without date or zone."""
-        if self.assumed in self.units:
-            return [f"the unit of time is not stated: seconds assumed, because the numbers have fractions; {self.why}"]
+        """Return a warning if times cannot be aligned with other logs without date or zone."""
         if self.is_local and zone is None:
             return ["its times have no time zone, so they cannot be aligned with other logs; give time_zone"]
         undated = self.pattern and not self._dated
@@ -113,28 +118,24 @@ def time_column(
         unit = unit.since_1970() if dated else unit
         return TimeColumn(columns, "", (unit,), f"{unit.said}, from the cell file", sample[0])
     proof = prove(np.array(numbers), evidence)
-    fractions = not proof.contradiction and any(number % 1.0 for number in numbers)
-    assumed = next((unit for unit in proof.left if fractions and unit == COUNTED["s"]), None)
-    return TimeColumn(
-        columns,
-        "",
-        proof.left if proof.unit else (),
-        proof.why if proof.unit else proof.question,
-        sample[0],
-        assumed=None if proof.unit else assumed,
-    )
+    left = () if proof.unit or proof.contradiction else proof.left
+    if any(number % 1.0 for number in numbers):
+        left = tuple(sorted(left, key=lambda unit: unit != COUNTED["s"]))
+    units, why = (proof.left, proof.why) if proof.unit else ((), proof.question)
+    return TimeColumn(columns, "", units, why, sample[0], may_be=left)
 
 
 def settled(path: Path, times: TimeColumn) -> TimeColumn:
-    """Return times whose unit and form are known; of an open unit seconds, with a warning, if numbers have fractions.
+    """Return times that can be read: of an open unit in the likeliest one, and `time_units` names the others.
 
     Raises:
-        LogError: They are open; the message names the candidates.
+        LogError: They contradict every unit or their name, or their form is open.
     """
     if times.known:
-        return times
-    if times.assumed is not None:
-        return replace(times, units=(times.assumed,), why=f"{times.why}; check time_unit")
+        return replace(times, may_be=())
+    if likeliest := next((unit for unit in times.may_be if unit.name != FRAME), None):
+        others = (unit for unit in times.may_be if unit != likeliest)
+        return replace(times, units=(likeliest,), may_be=(likeliest, *others))
     columns = " and ".join(map(repr, times.columns))
     cause = f"the times of column {columns} ({times.sample[:40]!r}) are ambiguous: {times.why}"
     cure = 'Give time_unit = "s" (or another of these) in [sources.map] of the cell file'

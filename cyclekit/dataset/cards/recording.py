@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from cyclekit.adapter import TimeUnit
 from cyclekit.dataset.cards.notes import Note, texts
 from cyclekit.dataset.cards.quantities import Card, Count, Digest, Duration, Measure, Name, Point, Rotation, Seconds
 
@@ -177,6 +178,7 @@ class LogCard(Card, frozen=True, kw_only=True):
         rate_hz: Rows per second; None if all rows have one time.
         warnings: Limits of the log that a user must know.
         facts: Other findings of the adapter, as texts.
+        time_units: Units that its times may have, while they are not proven: see `adapter.Recording`.
         key: Changes with the log, its adapter or its options; empty if the dataset is pseudonymised.
     """
 
@@ -202,6 +204,7 @@ class LogCard(Card, frozen=True, kw_only=True):
     rate_hz: Annotated[float, Meta(gt=0.0, le=1e12)] | None
     warnings: tuple[Note, ...]
     facts: dict[str, str]
+    time_units: tuple[TimeUnit, ...] = ()
     key: str
 
     @property

@@ -1,0 +1,149 @@
+"""Units of time that a log leaves open, proven by the other logs of its session or refused.
+
+Logs that are given together were recorded together: in the right unit a log lies within the time of the others and
+reaches through most of it. Another unit is out if the log would end long after the others, or if all of its rows would
+lie in so small a share of their time, at its beginning, that it is no chance. All else is asked.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from msgspec import structs
+
+from cyclekit.config import Source
+from cyclekit.errors import LogError
+from cyclekit.ingest.read.read_log import read_or_error
+from cyclekit.text.numbers import compact
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    import polars as pl
+
+    from cyclekit.adapter import TimeUnit
+    from cyclekit.dataset.cards import LogCard
+    from cyclekit.dataset.sessions import LogGroup
+    from cyclekit.ingest.discover import Log
+    from cyclekit.ingest.read.log_checksums import Digests
+    from cyclekit.ingest.read.read_log import ReadSettings
+
+MOST = 0.5
+"""Least share of two spans that is common to both, where logs were recorded together. Units differ by ten or more, so
+that only below 0.32 two of them could have it; with twice of it, a log that ends sooner is asked about."""
+CHANCE = 1e-4
+"""Largest chance with which the rows of a log, were they spread evenly over the others' time, all lie at its beginning.
+Half and twice of it ask about logs of three to five rows less or more."""
+_KINDS = ("robot", "people", "safety", "task_list", "events")
+"""Tables with which a log is compared, the best first: a robot's runs from the first to the last sample."""
+
+
+class _Fit(NamedTuple):
+    """How a log lies beside another in one unit: its span, s; the share that is common; whether it may be left out."""
+
+    unit: TimeUnit
+    span_s: float
+    share: float
+    out: bool
+
+
+def prove_units(
+    logs: Sequence[Log],
+    groups: Sequence[LogGroup],
+    table: Callable[[str, str], pl.DataFrame | None],
+    digests: Digests,
+    staging: Path,
+    settings: ReadSettings,
+) -> dict[str, LogCard]:
+    """Return new cards of the logs whose unit was open, by id.
+
+    Args:
+        logs: All logs.
+        groups: Their sessions, as far as they are known.
+        table: Function of a recording and a table: its rows.
+        digests: Computes the checksums of logs that are read again, in another unit than before.
+        staging: Folder of the dataset being built.
+        settings: What to store of each log.
+
+    Raises:
+        LogError: The other logs leave several units, or none; or a log cannot be read in the proven one.
+    """
+    by_id = {log.id: log for log in logs}
+    found: dict[str, tuple[LogCard, TimeUnit, str]] = {}
+    for group in groups:
+        known = [log for log in group.logs if not log.time_units and log.duration_s > 0.0]
+        for card in (log for log in group.logs if log.time_units):
+            other = min(known, key=lambda log: (_kind(log), -log.duration_s), default=None)
+            times = table(card.id, card.tables[0])
+            rows = 0 if times is None else times["t_s"].n_unique()
+            unit, why = _proven(by_id[card.id], card, rows, other)
+            found[card.id] = card, unit, why
+    cards = {}
+    for name, (card, unit, why) in found.items():
+        if unit != card.time_units[0]:
+            shutil.rmtree(staging / "recordings" / name)
+            read = read_or_error(_with_unit(by_id[name], unit), digests, staging=staging, settings=settings)
+            if isinstance(read, LogError):
+                raise read
+            card = read.card
+        cards[name] = structs.replace(card, time_units=(), facts=card.facts | {"time unit": why})
+    return cards
+
+
+def _kind(log: LogCard) -> int:
+    return min(_KINDS.index(name) if name in _KINDS else len(_KINDS) for name in log.tables)
+
+
+def _with_unit(log: Log, unit: TimeUnit) -> Log:
+    source = log.source or Source(log.shown, log.adapter)
+    return replace(log, source=replace(source, map={**source.map, "time_unit": unit.name}))
+
+
+def _proven(log: Log, card: LogCard, rows: int, other: LogCard | None) -> tuple[TimeUnit, str]:
+    """Return the unit that another log proves, and why.
+
+    Raises:
+        LogError: There is none.
+    """
+    fits = [] if other is None else [_fit(card, unit, rows, other) for unit in card.time_units]
+    best = [fit for fit in fits if fit.share >= MOST]
+    if other is not None and len(best) == 1 and all(fit.out for fit in fits if fit is not best[0]):
+        (fit,) = best
+        beside = f"{compact(fit.span_s)} s beside {compact(other.duration_s)} s of {other.shown}"
+        return fit.unit, f"{fit.unit.name}: {beside}; no other unit fits"
+    names = [f'"{unit.name}"' for unit in card.time_units]
+    cause = f"the unit of its times is not stated: it may be {' or '.join(names)}"
+    if other is not None:
+        spans = ", ".join(f"{compact(fit.span_s)} s in {fit.unit.name}" for fit in fits if fit.unit.seconds)
+        cause += f"; {other.shown} lasts {compact(other.duration_s)} s, and these {rows} times would last {spans}"
+    source = f'path = "{log.shown}", adapter = "{log.adapter}"'
+    cure = f"State it in the cell file: [[sources]] {source}, [sources.map] time_unit = {names[0]}"
+    raise LogError(log.path, cause, cure=f"{cure} (or another of these); or in the name of its column: time [s].")
+
+
+def _fit(card: LogCard, unit: TimeUnit, rows: int, other: LogCard) -> _Fit:
+    """Return how a log lies beside another in a unit, on one clock or each on a clock that began with it."""
+    if not unit.seconds:  # a count of rows
+        return _Fit(unit, 0.0, 0.0, out=False)
+    first_s, last_s = (_in(unit, at_s, card.time_units[0]) for at_s in (card.first_s, card.last_s))
+    ends = [
+        (first_s - zero_s, last_s - zero_s) for zero_s in {other.first_s, 0.0 if unit.zero_s is None else other.first_s}
+    ]
+    ends = [(begin, end) for begin, end in ends if begin > -(1.0 - MOST) * other.duration_s]
+    share = max((_common(begin, end, other.duration_s) for begin, end in ends), default=0.0)
+    least = min((end / other.duration_s for _, end in ends), default=float("inf"))
+    out = not ends or least > 1.0 / MOST or least ** max(rows - 1, 0) < CHANCE
+    return _Fit(unit, last_s - first_s, share, out)
+
+
+def _in(unit: TimeUnit, time_s: float, read: TimeUnit) -> float:
+    return (time_s - (read.zero_s or 0.0)) / read.seconds * unit.seconds + (unit.zero_s or 0.0)
+
+
+def _common(begin_s: float, end_s: float, whole_s: float) -> float:
+    """Return the share of a span, and of one from 0 to `whole_s`, that is common to both: the smaller one."""
+    common = max(min(end_s, whole_s) - max(begin_s, 0.0), 0.0)
+    return common / max(end_s - begin_s, whole_s)

@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 MOST = 0.5
 """Least share of two spans that is common to both, where logs were recorded together. Units differ by ten or more, so
 that only below 0.32 two of them could have it; with twice of it, a log that ends sooner is asked about."""
+NEARLY = 0.9
+"""The same for 1/10 s, 1/100 s and other ticks: whole numbers may count cycles as well, and those of 8 or 12 ms are a
+fifth off 1/100 s. Half of it takes them for it; twice of it would ask about all ticks."""
+_USUAL = {"ns", "us", "ms", "s", "min", "h", "days"}
 CHANCE = 1e-4
 """Largest chance with which the rows of a log, were they spread evenly over the others' time, all lie at its beginning.
 Half and twice of it ask about logs of three to five rows less or more."""
@@ -109,7 +113,7 @@ def _proven(log: Log, card: LogCard, rows: int, other: LogCard | None) -> tuple[
         LogError: There is none.
     """
     fits = [] if other is None else [_fit(card, unit, rows, other) for unit in card.time_units]
-    best = [fit for fit in fits if fit.share >= MOST]
+    best = [fit for fit in fits if fit.share >= (MOST if fit.unit.name in _USUAL else NEARLY)]
     if other is not None and len(best) == 1 and all(fit.out for fit in fits if fit is not best[0]):
         (fit,) = best
         beside = f"{compact(fit.span_s)} s beside {compact(other.duration_s)} s of {other.shown}"
@@ -121,7 +125,8 @@ def _proven(log: Log, card: LogCard, rows: int, other: LogCard | None) -> tuple[
         cause += f"; {other.shown} lasts {compact(other.duration_s)} s, and these {rows} times would last {spans}"
     source = f'path = "{log.shown}", adapter = "{log.adapter}"'
     cure = f"State it in the cell file: [[sources]] {source}, [sources.map] time_unit = {names[0]}"
-    raise LogError(log.path, cause, cure=f"{cure} (or another of these); or in the name of its column: time [s].")
+    cure += ' (or another of these, or "4 ms" for cycles); or in the name of its column: time [s].'
+    raise LogError(log.path, cause, cure=cure)
 
 
 def _fit(card: LogCard, unit: TimeUnit, rows: int, other: LogCard) -> _Fit:

@@ -116,31 +116,6 @@ def test_a_robot_log_in_any_unit_comes_to_one_table_or_is_asked_about(
         assert got.clock == ("relative" if unit in ("excel", "wincc", "matlab", "ticks") else "epoch")
 
 
-@at_most(40, suppress_health_check=[HealthCheck.too_slow])
-@given(
-    unit=st.sampled_from([*COUNTED, *EPOCHS]),
-    steps=st.lists(st.floats(0.5, 90.0), min_size=12, max_size=30),
-    says=st.booleans(),
-)
-def test_events_in_any_unit_come_to_one_table_or_leave_open_which_it_is(
-    tmp_path_factory: pytest.TempPathFactory, unit: str, steps: list[float], says: bool
-) -> None:
-    t_s = np.cumsum([0.0, *steps])
-    name = f"Time [{unit}]" if says and unit in COUNTED else "gps_time" if unit == "gps" else "Timestamp"
-    log = tmp_path_factory.mktemp("log") / "plc.csv"
-    rows = [f"{time},door,{k % 2}" for k, time in enumerate(written(unit, t_s))]
-    log.write_text("\n".join([f"{name},signal,value", *rows, ""]), encoding="utf-8")
-    called = EPOCHS[unit][2] if unit in EPOCHS else unit
-    got = events.ADAPTER.read(log, ReadOptions())
-    if got.time_units:
-        assert not (says and unit in COUNTED)
-        assert called in [one.name for one in got.time_units]
-        assert called in got.said[-1]
-        got = events.ADAPTER.read(log, ReadOptions(map={"time_unit": called}))
-    resolution_s = max(RESOLUTION_S, 1.01 * COUNTED.get(unit, 0.0) * (unit in WHOLE))
-    assert (got.events["t_s"] - got.events["t_s"][0]).to_list() == pytest.approx(t_s.tolist(), abs=2 * resolution_s)
-
-
 T_S = np.arange(400) * 0.05
 DATE = "2024-05-14"
 

@@ -362,7 +362,8 @@ def _why(left: Sequence[Unit], step: float, evidence: TimeEvidence, excluded: di
         interval = f"steps of {step:.6g} are {shown_s(step * order[0].seconds)} in {order[0].name}"
         return f"{interval}; no other unit fits{other}{_beside(evidence)}"
     each = ", ".join(f"{shown_s(step * unit.seconds)} if {_key(unit)}" for unit in order)
-    return f"steps of {step:.6g}: {counts}{each}"
+    cycles = "" if counts or step % 1.0 or len(left) == 1 else ", another time if cycles (4 ms, for example)"
+    return f"steps of {step:.6g}: {counts}{each}{cycles}"
 
 
 def _beside(evidence: TimeEvidence) -> str:

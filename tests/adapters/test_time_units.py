@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, Source, cell_to_toml, load_cell
 from cyclekit.errors import LogError
-from cyclekit_adapters.formats import events, mapped_csv, task_list
+from cyclekit_adapters.formats import events, mapped_csv, safety_log, task_list
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -275,7 +275,7 @@ HOW = {"time": "time", "time_unit": "s", "clock": "epoch", "x": "x", "y": "y"}
 
 @pytest.mark.parametrize(
     ("rate_hz", "begin_s", "step_s"),
-    [(125, 0.37, 1.0), (10, 0.05, 1.0), (60, 0.99, 1.0), (100, 0.03, 0.1), (4, 5.0, 60.0)],
+    [(125, 0.37, 1.0), (10, 0.05, 1.0), (60, 0.99, 1.0), (100, 0.03, 0.1), (1.5, 0.3, 1.0), (4, 5.0, 60.0)],
 )
 def test_rows_that_share_whole_seconds_are_spread_to_where_they_were(
     tmp_path: Path, rate_hz: float, begin_s: float, step_s: float
@@ -328,3 +328,43 @@ def test_samples_written_twice_are_still_set_aside(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\n".join(twice), encoding="utf-8")
     log = mapped_csv.ADAPTER.read(tmp_path / "a.csv", ReadOptions(role="robot", map=HOW))
     assert (log.robot.height, log.set_aside.height) == (60, 60)
+
+
+@pytest.mark.parametrize("rate_hz", [1.3, 2.0, 10.0])
+@pytest.mark.parametrize("kind", ["safety", "a row per signal", "a column per signal"])
+def test_states_that_share_whole_seconds_are_spread_to_where_they_were(
+    tmp_path: Path, kind: str, rate_hz: float
+) -> None:
+    true_s = 0.37 + np.arange(int(60 * rate_hz)) / rate_hz
+    low = (true_s // 7) % 2 == 1
+    rows = {
+        "safety": (safety_log, "time,override", "{0},{2}"),
+        "a row per signal": (events, "time,signal,value", "{0},door,{1}\n{0},lamp,0"),
+        "a column per signal": (events, "time,door,lamp", "{0},{1},0"),
+    }
+    module, header, row = rows[kind]
+    cells = [
+        row.format(f"{clock('%Y-%m-%d %H:%M:%S', t, BEGIN)}Z", int(now), 50 + 50 * now)
+        for t, now in zip(true_s - 0.25, low, strict=True)
+    ]
+    (tmp_path / "safety.csv").write_text("\n".join([header, *cells, ""]), encoding="utf-8")
+    log = module.ADAPTER.read(tmp_path / "safety.csv", ReadOptions())
+    assert log.set_aside is None or log.set_aside.is_empty()
+    if log.safety is not None:
+        t_s = log.safety["t_s"].to_numpy()
+    else:
+        t_s = log.events.filter(signal="door")["t_s"].to_numpy()
+        true_s = true_s[np.diff(low, prepend=~low[0])] if "column" in kind else true_s
+    assert np.abs(t_s - (BEGIN_S - 0.25) - true_s).max() <= 0.51 / rate_hz
+    assert any("spread evenly" in said for said in log.warnings)
+
+
+def test_two_robots_in_one_table_are_asked_about_not_mixed(tmp_path: Path) -> None:
+    t_s = np.arange(200) / 10
+    rows = [f"{1_715_668_200 + t:.1f},{x:.6f},{np.sin(t):.6f}" for t in t_s for x in (np.cos(t), 0.3 * np.cos(t) - 1.0)]
+    (tmp_path / "a.csv").write_text("\n".join(["time,x,y", *rows, ""]), encoding="utf-8")
+    with pytest.raises(LogError, match="several robots or people in one table"):
+        mapped_csv.ADAPTER.read(tmp_path / "a.csv", ReadOptions(role="robot", map=HOW))
+    later = [f"{1_715_668_200 + k * 0.05:.3f},{row.split(',', 1)[1]}" for k, row in enumerate(rows)]
+    (tmp_path / "a.csv").write_text("\n".join(["time,tcp_x,tcp_y", *later, ""]), encoding="utf-8")
+    assert any("several robots or people in one table" in line.why for line in drafted(tmp_path / "a.csv")[0].map)

@@ -9,6 +9,7 @@ proven, or left open for `ingest`, which has other logs. Values remain text.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -25,6 +26,7 @@ from cyclekit_adapters.tasks.task_columns import is_task_list
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
+from cyclekit_adapters.times.coarse_stamps import share_stamps, spread_of
 from cyclekit_adapters.times.local_clock import LocalClock
 from cyclekit_adapters.times.proof import file_date
 from cyclekit_adapters.times.row_times import T_S, settled, timed
@@ -60,6 +62,7 @@ class _EventCsv:
                 marks = rows.frame[table.signal].str.contains(_MARK).fill_null(value=False)
                 rows = rows.without(marks, "a mark of WinCC, no event")
             rows = timed(rows, times, hour)
+            rows = spread.rows(rows) if spread else rows
             events = states.changes(rows.frame, T_S, table.signals) if table.signals else _long(rows.frame, table)
             steps.add(rows.frame)
             return Recording(
@@ -78,7 +81,8 @@ class _EventCsv:
                 "columns": ", ".join(table.names[:60]),
             }
             back = [f"time steps back {steps.count} time(s)"] if steps.count else []
-            return replace(last, warnings=(*times.warnings(zone), *back, *hour.warnings()), facts=facts)
+            coarse = [spread.said] if spread else []
+            return replace(last, warnings=(*times.warnings(zone), *coarse, *back, *hour.warnings()), facts=facts)
 
         texts = [*(times.columns if times.pattern else ()), *table.signals]
         texts += [name for name in (table.signal, table.value) if name is not None]
@@ -92,8 +96,12 @@ class _EventCsv:
             encoding=file_encoding(path) or "utf-8",
             quotes=True,
         )
-        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required)
-        yield from in_parts(path, blocks, make, finish)
+        blocks = partial(read_blocks, path, layout, numbers=numbers, texts=texts, required=required)
+        stamps, spread = zip(*(table.cells[name] for name in times.columns), strict=True), None
+        if share_stamps([" ".join(stamp) for stamp in stamps], table.cells[table.signal] if table.signal else ()):
+            stamped = (timed(rows, times, LocalClock(zone, times.pattern)) for rows in blocks())
+            spread = spread_of(path, stamped, (), track=table.signal, rate_hz=options.rate_hz, ask=False)
+        yield from in_parts(path, blocks(), make, finish)
 
 
 def _settings(options: ReadOptions) -> tuple[Unit | None, str | None]:

@@ -89,7 +89,8 @@ class _MappedCsv:
         wanted, lists = _wanted(columns, role)
         stamps = [" ".join(row) for row in zip(*(cells.get(name, []) for name in times.columns), strict=False)]
         spread = None
-        if share_stamps(stamps, cells.get(str(mapping.person), ()) if role == "people" else ()):
+        of = mapping.person if role == "people" else "".join(mapping.signal[:1])
+        if share_stamps(stamps, cells.get(str(of), ())):
             again = map(lists.rows, table.blocks(names, wanted))
             spread = _spread(path, columns, times, options, role, again)
 
@@ -136,9 +137,11 @@ def _spread(
     values = [*mapping.places().values(), *mapping.joints, *([mapping.speed] if mapping.speed else [])]
     clock = LocalClock(mapping.time_zone, times.pattern)
     stamped = (timed(block, times, clock, options.rate_hz) for block in rows)
+    if role == "events":
+        signal = mapping.signal[0] if len(mapping.signal) == 1 else None
+        return spread_of(path, stamped, (), track=signal, rate_hz=options.rate_hz, ask=False)
     person = mapping.person if role == "people" else None
-    sampled = list(mapping.tags) if role == "events" else values
-    return spread_of(path, stamped, sampled, track=person, rate_hz=options.rate_hz, ask=role != "events")
+    return spread_of(path, stamped, values, track=person, rate_hz=options.rate_hz)
 
 
 def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:

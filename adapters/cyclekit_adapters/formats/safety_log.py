@@ -9,6 +9,7 @@ speed as a fraction; `override_max = 1` in `[sources.map]` declares a fraction.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -21,6 +22,7 @@ from cyclekit_adapters.tasks.safety_columns import LENGTHS, WHERE, SafetyColumns
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, header_names, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
+from cyclekit_adapters.times.coarse_stamps import share_stamps, spread_of
 from cyclekit_adapters.times.local_clock import LocalClock
 from cyclekit_adapters.times.proof import TimeEvidence, file_date
 from cyclekit_adapters.times.row_times import T_S, TimeColumn, settled, time_column, timed
@@ -79,12 +81,14 @@ class _SafetyCsv:
         delimiter = delimiter_of(line, ",;\t")
         names = _names(line, delimiter)
         columns = mapped_columns(path, names, settings.columns)
-        times = _times(path, names, columns.time, delimiter, settings)
+        sample = _sample(path, names.index(columns.time), columns.time, delimiter)
+        times = _times(path, sample, columns.time, delimiter, settings)
         clock = times.clock(settings.zone)
         seen, steps, hour = _Seen(), BackwardSteps(T_S), LocalClock(settings.zone, times.pattern)
 
         def make(rows: TextRows) -> Recording:
             rows = timed(rows, times, hour)
+            rows = spread.rows(rows) if spread else rows
             steps.add(rows.frame)
             return Recording(
                 safety=_table(rows.frame, columns, settings.full, seen),
@@ -97,7 +101,8 @@ class _SafetyCsv:
 
         def finish(last: Recording) -> Recording:
             _check(path, columns, settings, seen)
-            warnings = (*times.warnings(settings.zone), *_warnings(seen, steps.count), *hour.warnings())
+            coarse = [spread.said] if spread else []
+            warnings = (*times.warnings(settings.zone), *coarse, *_warnings(seen, steps.count), *hour.warnings())
             return replace(last, warnings=warnings, facts=_facts(columns, times, settings))
 
         numbers = [*columns.overrides, *(name for name in (columns.distance, columns.deviation) if name)]
@@ -110,15 +115,15 @@ class _SafetyCsv:
             encoding=file_encoding(path) or "utf-8",
             quotes=True,
         )
-        blocks = read_blocks(
-            path,
-            layout,
-            numbers=[*([] if times.pattern else [columns.time]), *numbers],
-            texts=texts,
-            required=[columns.time],
-            any_of=numbers,
+        wanted = [*([] if times.pattern else [columns.time]), *numbers]
+        blocks = partial(
+            read_blocks, path, layout, numbers=wanted, texts=texts, required=[columns.time], any_of=numbers
         )
-        yield from in_parts(path, blocks, make, finish)
+        spread = None
+        if share_stamps(sample):
+            stamped = (timed(rows, times, LocalClock(settings.zone, times.pattern)) for rows in blocks())
+            spread = spread_of(path, stamped, (), rate_hz=options.rate_hz, ask=False)
+        yield from in_parts(path, blocks(), make, finish)
 
 
 def _names(line: str, delimiter: str) -> tuple[str, ...]:
@@ -139,14 +144,23 @@ def _settings(options: ReadOptions) -> _Settings:
     return _Settings(float(str(full)), "override_max" in options.map, known, checked_zone(zone, WHERE), rest)
 
 
-def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, settings: _Settings) -> TimeColumn:
-    at = names.index(column)
+def _sample(path: Path, at: int, column: str, delimiter: str) -> list[str]:
+    """Return the first times as written; `at` is the place of their column.
+
+    Raises:
+        EmptyLog: There is no row.
+        LogError: No row has a time.
+    """
     rows = [fields_of(line, delimiter) for line in head_lines(path, _FIRST)[1:]]
     sample = [text for row in rows if at < len(row) and (text := row[at].strip().strip('"')).lower() not in _UNKNOWN]
     if not sample and any(any(cell.strip() for cell in row) for row in rows):
         raise LogError(path, f"no row has a time (column {column!r})", cure="Check which column is the time.")
     if not sample:
         raise EmptyLog(path)
+    return sample
+
+
+def _times(path: Path, sample: list[str], column: str, delimiter: str, settings: _Settings) -> TimeColumn:
     comma = delimiter != ","
     evidence = TimeEvidence(column, unit_in_name(column), before_s=file_date(path))
     times = time_column((column,), sample, evidence, unit=settings.unit, decimal_comma=comma)

@@ -7,7 +7,7 @@ the rows.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from cyclekit_adapters.text.delimited import delimiter_of, fields_of, unique
@@ -17,7 +17,7 @@ from cyclekit_adapters.times.row_times import TimeColumn, time_column
 from cyclekit_adapters.times.units import unit_in_name
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Container, Mapping, Sequence
 
     from cyclekit_adapters.times.units import Unit
 
@@ -48,7 +48,7 @@ _LOOKED_AT = 200
 
 @dataclass(frozen=True)
 class EventTable:
-    """Layout of an event log: rows of time, signal and value, or a time and one column per signal."""
+    """Layout of an event log: rows of time, signal and value, or a time and one column per signal; its first cells."""
 
     names: tuple[str, ...]
     delimiter: str
@@ -57,6 +57,7 @@ class EventTable:
     signal: str | None
     value: str | None
     signals: tuple[str, ...] = ()
+    cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ def event_table(head: str, unit: Unit | None = None, before_s: float | None = No
     rows = [row for row in rows if len(row) == len(names)]
     cells = {name: [row[i] for row in rows] for i, name in enumerate(names)}
     table = _Head(names, stems, cells, delimiter, unit, before_s)
-    return _long(table) or _wide(table)
+    found = _long(table) or _wide(table)
+    return replace(found, cells=cells) if found else None
 
 
 def _may_be_wide(first: list[str], stems: dict[str, str], delimiter: str) -> bool:

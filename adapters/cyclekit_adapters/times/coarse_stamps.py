@@ -29,12 +29,21 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
 
-_SHARED = 0.5
-"""Least share of neighbouring rows with one time, and of those that differ in their values, beside other neighbours.
-Half of it changes none of the tests of units; with twice of it, which is all rows, none are spread."""
+_SHARED = 0.05
+"""Least share of neighbouring rows with one time, from which rows are spread: below it they repeat a stamp by chance.
+Half and twice of it change none of the tests of units."""
+_DIFFER = 0.5
+"""Least share of rows of one time that differ in their values, beside that of other neighbours. Half of it changes none
+of the tests of units; with twice of it, which is all rows, few are spread."""
+_APART = 3.0
+"""Factor by which rows of one time lie farther apart than rows of neighbouring times, if they are of several robots.
+Half and twice of it change none of the tests of units."""
 _EVEN = 0.2
 """Maximum relative difference of the numbers of rows of most whole steps: loggers on a PC are this uneven, and changes
 of a state are far more so. Half and twice of it change none of the tests of units."""
+_FEW = 3.0
+"""Rows a step up to which their mean tells the rate, not their median, a whole number that garbled stamps do not move.
+Half and twice of it change none of the tests of units."""
 _LEAST_STEPS = 3
 """Number of whole steps from which a rate is known."""
 
@@ -94,14 +103,14 @@ def spread_of(
     Args:
         path: The log.
         blocks: Its rows, with the column `time` in s.
-        values: Columns that change with each sample.
+        values: Columns that change with each sample; none if all are states, which are the same if a row is repeated.
         track: Column of the person, if each has rows of its own.
         rate_hz: Rate of the rows; None = find it.
         ask: Refuse a log whose rate cannot be found.
         time: Column of the times in s.
 
     Raises:
-        LogError: Rows share stamps, but not evenly, and no rate is given.
+        LogError: Rows share stamps, but not evenly, and no rate is given; or they are of several robots or people.
     """
     names = [INDEX, time, *dict.fromkeys([*values, *([track] if track else [])])]
     frame = pl.concat([rows.frame.select(names) for rows in blocks])
@@ -110,10 +119,16 @@ def spread_of(
     whose = frame[track].rank("dense").fill_null(0).to_numpy() if track else np.zeros(frame.height)
     t_s, new_track = frame[time].to_numpy(), np.diff(whose, prepend=np.nan) != 0
     same = (np.diff(t_s, prepend=np.nan) == 0) & ~new_track
-    if not same.any() or not _differ(frame, values, same, new_track):
+    if not same.any() or (values and not _differ(frame, values, same, new_track)):
         return None
     first = np.flatnonzero(~same)  # row at which each run of one stamp begins
     count = np.diff(first, append=len(t_s))
+    if ask and values and _interleaved(frame, values, first, same):
+        cause = (
+            "rows of one time lie far apart, rows of neighbouring times do not: several robots or people in one table"
+        )
+        cure = "Give each robot a file of its own; for people name the column of their id: person, in [sources.map]."
+        raise LogError(path, cause, cure=cure)
     ahead = np.diff(t_s[first], append=np.nan)
     ahead[np.append(new_track[first][1:], True)] = np.nan
     steps = ahead[np.isfinite(ahead) & (ahead > 0)]
@@ -124,12 +139,14 @@ def spread_of(
     follows = np.abs(ahead - step_s) < 1e-3 * step_s  # the next run is one step later
     preceded = np.append(False, follows[:-1])
     whole = count[follows & preceded]
-    usual = float(np.median(whole)) if len(whole) else 0.0
-    each = rate_hz * step_s if rate_hz else usual
-    even = len(whole) >= _LEAST_STEPS and float((np.abs(whole - usual) <= max(1.0, _EVEN * usual)).mean()) >= 0.8
-    if each < 1.5 or (not rate_hz and not even):
-        if not ask or (each < 1.5 and len(whole) >= _LEAST_STEPS):
-            return None
+    middle = float(np.median(whole)) if len(whole) else 0.0
+    near = np.abs(whole - middle) <= max(1.0, _EVEN * middle)
+    even = len(whole) >= _LEAST_STEPS and float(near.mean()) >= 0.8
+    usual = middle if middle > _FEW else float(whole[near].mean()) if even else 0.0
+    each = rate_hz * step_s if rate_hz else usual if even else 0.0
+    if each < 1.0 + _SHARED:
+        if not ask or even or len(t_s) < 1.5 * len(first):
+            return None  # the few that repeat a stamp are set aside
         cause = (
             f"several rows have one time ({int(count.min())} to {int(count.max())}, in steps of {shown_s(step_s)}), "
         )
@@ -143,12 +160,19 @@ def spread_of(
 
 def _differ(frame: pl.DataFrame, values: Sequence[str], same: Bools, new_track: Bools) -> bool:
     """Return whether rows of one stamp differ in their values about as often as others, as samples of their own do."""
-    if not values:
-        return False
     differs = pl.any_horizontal(pl.col(name).ne_missing(pl.col(name).shift(1)) for name in values)
     changed = frame.select(differs).to_series().to_numpy()
     within, between = changed[same & ~new_track], changed[~same & ~new_track]
-    return bool(within.any() and (not len(between) or within.mean() >= _SHARED * between.mean()))
+    return bool(within.any() and (not len(between) or within.mean() >= _DIFFER * between.mean()))
+
+
+def _interleaved(frame: pl.DataFrame, values: Sequence[str], first: NDArray[np.int64], same: Bools) -> bool:
+    """Return whether rows of one time are places of several things: each is near its own place at the next time."""
+    numbers = frame.select(pl.col(name) for name in values if frame.schema[name].is_float()).to_numpy()
+    within = np.linalg.norm(np.diff(numbers, axis=0), axis=1)[same[1:]]
+    after = np.linalg.norm(np.diff(numbers[first], axis=0), axis=1)
+    within, after = within[np.isfinite(within)], after[np.isfinite(after)]
+    return len(within) > 0 and len(after) > 0 and bool(np.median(within) > _APART * np.median(after))
 
 
 def _within(count: NDArray[np.int64], follows: Bools, preceded: Bools, each: float) -> Vector:

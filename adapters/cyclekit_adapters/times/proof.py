@@ -63,6 +63,7 @@ _TWO_TIMES = 0.02
 """Maximum relative difference of two times of one row; units differ by 60 or more, the drift of clocks is below 1 %."""
 _TICKS = {"10 ns", "100 ns", "10 us", "1/100 s", "1/10 s", "filetime", "ticks"}
 """Units of which only whole numbers are counted."""
+_NO_DATE = "no date of 2000 to 2099"
 _WINCC = re.compile(r"time_?ms", re.IGNORECASE)
 
 
@@ -216,7 +217,7 @@ def _no_date(unit: Unit, middle: float, values: Vector, named: Unit | None) -> s
     if unit.zero_s is not None:
         if unit.name == "gps" and (named is None or named.name != "gps"):
             return "the name says nothing of GPS"
-        return None if _is_date(middle, unit) else "no date of 2000 to 2099"
+        return None if _is_date(middle, unit) else _NO_DATE
     if unit.name == FRAME:
         return None
     far = float(np.abs(values).max()) * unit.seconds
@@ -328,8 +329,11 @@ def _by_name(named: Unit, left: list[Unit], excluded: dict[str, str], evidence: 
 
 
 def _contradicted(excluded: dict[str, str], evidence: TimeEvidence) -> str:
-    most = "; ".join(f"{name}: {reason}" for name, reason in excluded.items() if name in ("ms", "s", "min"))
-    return f"no unit of time fits it ({most})"
+    """Return why no unit is left: what those of dates, or else those of counts, would mean."""
+    dates = [key for key in excluded if key.endswith("since 1970") and excluded[key] != _NO_DATE]
+    most = "; ".join(f"{name}: {excluded[name]}" for name in dates or ("ms", "s", "min") if name in excluded)
+    mixed = ": rows of several robots or people in one table?" if dates and evidence.path is not None else ""
+    return f"no unit of time fits it ({most}){mixed}"
 
 
 def _is_even(steps: Vector) -> bool:

@@ -186,7 +186,7 @@ def _dataset(found: DatasetDescription) -> str:
         parts.append(lost_table(found.lost))
     parts.append(to_log(found.to_log))
     parts.append(task_list_tables(found.task_list) if found.task_list else "")
-    parts.append(coupling_table(found.coupling))
+    parts.append(coupling_table(found.coupling, of_logs=True))
     parts += [_clocks(found.clocks), _operator(found.operator)]
     silences = [f"gaps in {name}: {_gaps(gaps)}" for name, gaps in found.gaps.items()]
     parts.append(bullet(_some(silences, SHOWN_FILES)))

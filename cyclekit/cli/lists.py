@@ -164,8 +164,19 @@ def safety_lines(found: SafetyFacts) -> list[str]:
     return lines
 
 
-def coupling_table(found: CouplingCard | None) -> str:
-    """Return the learned wait conditions as a table; empty if unknown."""
+USED_IF = (
+    "found in the logs; a model uses them unless logged executions roll out worse with them: cyclekit inspect MODEL "
+    "shows those used"
+)
+
+
+def coupling_table(found: CouplingCard | None, *, of_logs: bool = False) -> str:
+    """Return the learned wait conditions as a table; empty if unknown.
+
+    Args:
+        found: The conditions.
+        of_logs: Whether they are those found in a dataset, of which a model may use none; else a model's.
+    """
     if found is None:
         return ""
     rows = []
@@ -174,6 +185,8 @@ def coupling_table(found: CouplingCard | None) -> str:
         lag = [fixed(middle_s, 1), span(low_s, high_s, 1)]
         rows.append([row.who, row.until, *lag, percent(row.condition.held), row.had_to_wait])
     if not rows:
-        return f"waits of robot and operator for each other: none found in {found.executions} executions"
+        none = "found" if of_logs else "used"
+        return f"waits of robot and operator for each other: none {none} in {found.executions} executions"
     heads = ["who waits ", "until ", "lag, s", "5 to 95 %", "obeyed", "had to wait"]
-    return "\n".join([table(heads, rows), *habit_lines(found)])
+    learned = of_logs and any(gate.conditions and not gate.told for gate in found.gates)
+    return "\n".join([table(heads, rows), *habit_lines(found), *([USED_IF] if learned else [])])

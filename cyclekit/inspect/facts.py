@@ -208,7 +208,8 @@ class DatasetDescription(Result):
         safety: Facts of the safety system's logs, by recording.
         lost: Lost time by cause; None if unknown.
         positions: Agents with known positions.
-        coupling: Learned wait conditions of robot and operator; None if too few executions show both agents.
+        coupling: Wait conditions of robot and operator found in the logs, of which a model uses none if logged
+            executions roll out worse with them; None if too few executions show both agents.
         response: Reaction time, ramps and hysteresis of the safety system; None without changes of level.
         tasks: Count, and mean seconds of motion at full speed, safety loss, dwell and wait, for each task found in the
             robot's motion.

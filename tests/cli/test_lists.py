@@ -181,3 +181,14 @@ def test_when_a_signal_comes_names_its_own_work_only_where_it_has_some(gap_s: tu
         executions=9,
     )
     assert f"done set comes 25.0 to 25.0 s after robot leaves {said}" in coupling_table(card) + "\n"
+
+
+@pytest.mark.parametrize(("told", "of_logs", "said"), [(False, True, 1), (False, False, 0), (True, True, 0)])
+def test_waits_found_in_logs_are_not_said_to_be_used(told: bool, of_logs: bool, said: int) -> None:
+    """A model drops what rolls logged executions out worse than none; what the cell file tells it keeps."""
+    leaves = ConditionCard(agent="operator", place="press", event="leaves", lag_s=(1.0,))
+    gate = GateCard(agent="robot", at="approach", place="press", conditions=(leaves,), passages=9, told=told)
+    shown = coupling_table(CouplingCard(gates=(gate,), executions=9), of_logs=of_logs)
+    assert shown.count("a model uses them unless logged executions roll out worse with them") == said
+    none = coupling_table(CouplingCard(executions=9), of_logs=of_logs)
+    assert none.endswith(f"none {'found' if of_logs else 'used'} in 9 executions")

@@ -17,7 +17,7 @@ from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.robot.nominal import turned_otherwise, usual_slider
 from cyclekit.estimate.robot.safety import OnStates
-from cyclekit.estimate.robot.work_dwells import MIN_EXECUTIONS, either_kind, said_of_places
+from cyclekit.estimate.robot.work_dwells import MIN_EXECUTIONS, of_kinds, said_of_places
 from cyclekit.estimate.soundness import MIN_SUPPORT
 from cyclekit.estimate.validation.check import Check, check_rollout
 from cyclekit.learning.signal_inputs import left_out
@@ -96,12 +96,12 @@ def with_work(entry: CycleEstimate, tasks: Sequence[NominalTask]) -> tuple[Cycle
     doubts = [
         f"{said}; fewer than {MIN_EXECUTIONS} executions of this order's work were logged, so it takes those of all, "
         "and the intervals cover the others: log executions of this work"
-        for said in said_of_places({task.task: task.by_work for task in pooled if not _of_kinds(task)})
+        for said in said_of_places({task.task: task.by_work for task in pooled if not of_kinds(task.by_work)})
     ]
     doubts += [
         f"{said} (another product, or a wait): the number is for all of them together, and the intervals cover each; "
         "log executions of this order"
-        for said in said_of_places({task.task: task.by_work for task in pooled if _of_kinds(task)})
+        for said in said_of_places({task.task: task.by_work for task in pooled if of_kinds(task.by_work)})
     ]
     return widened, [Finding("work", "amber", text) for text in doubts], limits
 
@@ -110,10 +110,6 @@ def _wider(task: TaskShare, by: tuple[float, float]) -> TaskShare:
     if task.end_low_s is None or task.end_high_s is None:
         return task
     return replace(task, end_low_s=task.end_low_s + by[0], end_high_s=task.end_high_s + by[1])
-
-
-def _of_kinds(task: NominalTask) -> bool:
-    return either_kind(task.by_work) is not None
 
 
 def limits_of_cycles(cycles: Rolled) -> list[str]:

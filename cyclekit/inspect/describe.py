@@ -18,7 +18,7 @@ from cyclekit.dataset import lost_time
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import LogError
-from cyclekit.estimate.robot.work_dwells import either_kind, said_of_places, standstills_by_work
+from cyclekit.estimate.robot.work_dwells import of_kinds, said_of_places, standstills_by_work
 from cyclekit.ingest.discover import cell_for, find_all, options_of
 from cyclekit.ingest.read.tool_point import with_tool_point
 from cyclekit.ingest.registry import adapter_named
@@ -224,7 +224,7 @@ def _set_aside(records: Sequence[RecordingCard]) -> dict[str, int]:
 def _warnings(dataset: Dataset) -> list[str]:
     of_recordings = [f"{record.id}: {text}" for record in dataset.recordings for text in record.said]
     by_work = standstills_by_work(dataset)
-    kinds = {task for task, stands in by_work.items() if either_kind(stands) is not None}
+    kinds = {task for task, stands in by_work.items() if of_kinds(stands)}
     of_work = [
         f"{said}; an estimate takes those of the order's own work"
         for said in said_of_places({task: stands for task, stands in by_work.items() if task not in kinds})

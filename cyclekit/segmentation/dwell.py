@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.segmentation.rank_test import by_chance
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -32,9 +30,8 @@ STEADY_S = 0.05
 OFTEN = 0.5
 """Minimum share of the standstills at a place in which the signal changes."""
 
-MIN_EXECUTIONS, CHANCE = 5, 0.01
-"""Minimum number of executions of the same work with a process time of their own; maximum probability of a difference
-by chance at any place."""
+MIN_EXECUTIONS = 5
+"""Minimum number of executions of the same work with a process time of their own."""
 APART_S, APART = 0.2, 0.1
 """Minimum difference of process times between works, s and as a share; and maximum spread of the standstills of a work
 whose standstills are the process: waits scatter more."""
@@ -100,7 +97,7 @@ def usual_dwells(executions: Sequence[Execution], standstills: PlaceStandstills)
         unhindered = [standstill.lasts_s for standstill in there if not standstill.halted]
         low, most = _usual(unhindered or [min(standstill.lasts_s for standstill in there)])
         dwell = Dwell(low, min(most, 1.5 * low + 0.2), _end_signal(there))
-        dwells[place] = dwell._replace(of_work=_of_works(by_work.get(place, {}), dwell, CHANCE / len(seen)))
+        dwells[place] = dwell._replace(of_work=_of_works(by_work.get(place, {}), dwell))
     return dwells
 
 
@@ -109,9 +106,12 @@ def _work(execution: Execution) -> tuple[str, ...]:
 
 
 def _of_works(
-    by_work: Mapping[tuple[str, ...], list[list[float]]], dwell: Dwell, chance: float
+    by_work: Mapping[tuple[str, ...], list[list[float]]], dwell: Dwell
 ) -> Mapping[tuple[str, ...], Dwell] | None:
-    """Return the process of each work whose standstills, one list per execution, are steady; None if they are alike."""
+    """Return the process of each work whose standstills, one list per execution, are steady; None if they are alike.
+
+    Steady standstills of works that differ by more than they scatter are as logged: they need no other proof.
+    """
     steady = {}
     for work, lasts_s in by_work.items():
         low, middle = np.quantile(np.concatenate(lasts_s), (0.1, 0.5)).tolist()
@@ -120,10 +120,6 @@ def _of_works(
     lows = {work: _usual(np.concatenate(lasts_s)) for work, lasts_s in steady.items()}
     usual_s = [low for low, _ in lows.values()]
     if len(lows) < 2 or max(usual_s) - min(usual_s) <= APART_S + APART * min(usual_s):
-        return None
-    each = [(float(np.median(one)), number) for number, mine in enumerate(steady.values()) for one in mine]
-    values, group = (np.array(column) for column in zip(*each, strict=True))
-    if by_chance(values, group) >= chance:
         return None
     return {work: Dwell(low, min(most, 1.5 * low + 0.2), dwell.end_signal) for work, (low, most) in lows.items()}
 

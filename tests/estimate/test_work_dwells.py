@@ -188,7 +188,6 @@ def test_a_task_that_is_rare_in_a_work_takes_what_that_work_has_at_the_place():
 @pytest.mark.parametrize(
     ("first", "second"),
     [
-        ([("abca", {"b": 2.0})] * 8, [("abcda", {"b": 5.0})] * 4),  # too few of the second
         ([("abca", {"b": 2.0})] * 8, [("abcda", {"b": 2.15})] * 8),  # too little to matter
         ([("abca", {"b": 5.0})] * 8, [("abcda", {"b": 5.4})] * 8),  # 8 %
         ([("abda", {"b": 2.0})] * 8, [("acbea", {"b": 5.0})] * 8),  # by the way that leads there, not by the work
@@ -197,6 +196,29 @@ def test_a_task_that_is_rare_in_a_work_takes_what_that_work_has_at_the_place():
 )
 def test_nothing_is_told_apart_that_the_logs_do_not_show(first: Any, second: Any):
     assert standstills_by_work(rows([*first, *second])) == {}
+
+
+@pytest.mark.parametrize(("first", "second"), [(8, 4), (3, 3)])
+def test_so_few_executions_that_no_difference_could_be_shown_leave_it_open(first: int, second: int):
+    """Standstills of all are taken, and those of each work are covered; two executions tell nothing."""
+    found = standstills_by_work(rows([("abca", {"b": 2.0})] * first + [("abcda", {"b": 5.0})] * second))
+    assert set(found) == {"a->b"}
+    assert sorted((round(one.mean_s), group.few) for group, one in found["a->b"].items()) == [(2, True), (5, True)]
+    (said,) = said_of_places(found)
+    assert said.endswith("too few of each work to show a difference")
+    assert standstills_by_work(rows([("abca", {"b": 2.0})] * 2 + [("abcda", {"b": 5.0})] * 2)) == {}
+
+
+def test_the_interval_of_a_product_logged_few_times_covers_its_own_process(tmp_path: Path):
+    logs = simulate("box-picking", tmp_path / "logs", executions=8, seed=6, options=SimulationOptions(products=(P, Q)))
+    ingest([logs], tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    for product in (P, Q):
+        asked = TaskSequence("asked", product.places)
+        (found,) = estimate(TrueStaircase(), dataset, [asked], validate=False, extrapolate=True)
+        own = [one.execution for one in dataset.card.executions if work_of(one.places) == work_of(product.places)]
+        logged_s = dataset.executions.filter(pl.col("execution").is_in(own))["duration_s"].mean()
+        assert found.expected_low_s <= logged_s <= found.expected_high_s
 
 
 def test_the_probability_is_that_of_the_rank_test():

@@ -5,6 +5,9 @@ together then fit none of them. So each place is tested: do they differ between 
 than chance (`rank_test`), and by enough to matter? Where they do, an order takes the standstills of executions of its
 own work; elsewhere nothing changes.
 
+Where so few executions of each work were logged that no difference of theirs could be shown, the place is left open: an
+order takes the standstills of all, and its intervals cover those of each work.
+
 Products may also share all their places and visits. Then the standstills themselves show them: they fall into a few
 clear kinds, each executions of one product. An order of which enough executions were logged, all of one kind, takes
 that kind. For others nothing tells which kind it is.
@@ -25,17 +28,21 @@ from cyclekit.segmentation.rank_test import by_chance
 from cyclekit.text.numbers import fixed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Ints, Vector
 
 
 class StandstillKind(NamedTuple):
-    """Executions with standstills of one length at a place, which neither work nor way there explains."""
+    """Executions with standstills of one length at a place, which neither work nor way there explains.
+
+    `few`: they are of one work, and too few to show whether it explains them.
+    """
 
     executions: int
     number: int
+    few: bool = False
 
 
 Group = Work | frozenset[str] | tuple[str, ...] | StandstillKind
@@ -52,8 +59,12 @@ FEW, LEFT, TIGHT = 0.1, 0.05, 0.25
 """Kinds of standstills: minimum share of the executions in each; maximum share in none; and maximum spread (10 to 90 %)
 of each, as a share of the distance to the next. Waits scatter more."""
 SURE, BATCHES = 3, 2.6
-"""Minimum number of executions of an order, all of one kind, for this kind to be the order's; and standard deviations
+"""Minimum number of executions of an order, all of one kind, for this kind to be the order's, and of a work whose
+standstills the intervals of others cover; and standard deviations
 by which kinds change less often than by chance if they come in batches."""
+
+
+NOTHING_TELLS = "and no logged place or visit tells which"
 
 
 @dataclass(frozen=True)
@@ -86,28 +97,51 @@ def standstills_by_work(dataset: Dataset) -> dict[str, dict[Group, Standstills]]
     A task with fewer than MIN_EXECUTIONS repetitions in a group has the group's standstills at its goal.
     """
     rows, groups = _grouped(dataset)
+    shown = _differing(rows)
+    found = _by_group(rows, dict.fromkeys(shown, MIN_EXECUTIONS), lambda number, _: groups[number])
+    found = found or _by_kind(dataset, rows)
+    unknown = [place for place in _differing(rows, least=SURE, shown=False) if place not in shown]
+    few = _by_group(rows, dict.fromkeys(unknown, SURE), lambda number, count: StandstillKind(count, number, few=True))
+    return few | found
+
+
+def _by_group(
+    rows: pl.DataFrame, least: Mapping[str, int], group_of: Callable[[int, int], Group]
+) -> dict[str, dict[Group, Standstills]]:
+    """Return the standstills per group of each task to places, by its name.
+
+    Args:
+        rows: Tasks with the number of their group.
+        least: Minimum number of executions of a group, by place.
+        group_of: The group of a number and its number of executions.
+    """
     found: dict[str, dict[Group, Standstills]] = {}
-    for place in _differing(rows):
+    for place, count in least.items():
         there = rows.filter(pl.col("goal_place") == place)
         for (number,), mine in there.group_by(["group"], maintain_order=True):
-            if mine["execution"].n_unique() < MIN_EXECUTIONS:
+            if (executions := mine["execution"].n_unique()) < count:
                 continue
+            group = group_of(int(str(number)), executions)
             for task in there["task"].unique(maintain_order=True):
                 own = mine.filter(pl.col("task") == task)
-                stands = _standstills(own if own.height >= MIN_EXECUTIONS else mine)
-                found.setdefault(task, {})[groups[int(str(number))]] = stands
-    return found or _by_kind(dataset, rows)
+                found.setdefault(task, {})[group] = _standstills(own if own.height >= MIN_EXECUTIONS else mine)
+    return found
 
 
 def either_kind(by_work: Mapping[Group, Standstills]) -> Standstills | None:
     """Return the standstills of all kinds together, whatever the way there; None if kinds are not what differs."""
     kinds = [(group.executions, stands) for group, stands in by_work.items() if isinstance(group, StandstillKind)]
-    if not kinds:
+    if not kinds or any(isinstance(group, StandstillKind) and group.few for group in by_work):
         return None
     every = sum(count for count, _ in kinds)
     dwell_s = sum(count * stands.dwell_s for count, stands in kinds) / every
     wait_s = sum(count * stands.wait_s for count, stands in kinds) / every
     return Standstills(dwell_s, wait_s, np.sort(np.concatenate([stands.standstill_s for _, stands in kinds])))
+
+
+def of_kinds(by_work: Mapping[Group, Standstills]) -> bool:
+    """Return whether no order is known to be of one of the groups."""
+    return any(isinstance(group, StandstillKind) for group in by_work)
 
 
 def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[str]:
@@ -120,7 +154,8 @@ def said_of_places(by_work: Mapping[str, Mapping[Group, Standstills]]) -> list[s
             lasts = " or ".join(
                 f"{fixed(one.mean_s, 1)} s (in {group.executions} executions)" for group, one in kinds.items()
             )
-            found.setdefault(place, f"standstill at {place} is {lasts}, and no logged place or visit tells which")
+            tells = "too few of each work to show a difference" if any(kind.few for kind in kinds) else NOTHING_TELLS
+            found.setdefault(place, f"standstill at {place} is {lasts}, {tells}")
             continue
         ends = (choose(stands, key=lambda group: stands[group].mean_s) for choose in (min, max))
         said = (f"{fixed(stands[group].mean_s, 1)} s in {_shown(group)}" for group in ends)
@@ -158,16 +193,22 @@ def _repeated(groups: Sequence[Group]) -> int:
     return sum(counts) if len(counts) > 1 else 0
 
 
-def _differing(rows: pl.DataFrame, by: str = "off") -> list[str]:
+def _differing(rows: pl.DataFrame, by: str = "off", *, least: int = MIN_EXECUTIONS, shown: bool = True) -> list[str]:
     """Return the places whose standstills differ between groups, one value per execution, beyond chance.
 
-    `by`: `off` subtracts the median of the task, as a place that is only reached from elsewhere has no other process;
-    `stand` does not, for groups that differ in their process elsewhere.
+    Args:
+        rows: Tasks with the number of their group.
+        by: `off` subtracts the median of the task, as a place that is only reached from elsewhere has no other process;
+            `stand` does not, for groups that differ in their process elsewhere.
+        least: Minimum number of executions of a group.
+        shown: False: instead, those that differ, where so few executions could show no difference, and most are of
+            such groups: a cell of a few products.
     """
     stand = pl.col("dwell_s") + pl.col("wait_s").fill_null(0.0)
     each = rows.with_columns(stand=stand).with_columns(off=pl.col("stand") - pl.col("stand").median().over("task"))
     per = each.group_by("goal_place", "group", "execution", maintain_order=True).agg(pl.col("stand", "off").median())
-    per = per.filter(pl.len().over("goal_place", "group") >= MIN_EXECUTIONS)
+    often = pl.len().over("goal_place", "group") >= least
+    per = per.filter(often & (pl.lit(shown) | (2 * often.sum().over("goal_place") > pl.len().over("goal_place"))))
     per = per.filter(pl.col("group").n_unique().over("goal_place") > 1)
     places = per.partition_by("goal_place", maintain_order=True)
     found = []
@@ -176,7 +217,12 @@ def _differing(rows: pl.DataFrame, by: str = "off") -> list[str]:
         apart = max(APART_S, APART * float(np.median(mine["stand"].to_numpy())))
         if np.ptp(medians) <= apart:
             continue
-        if by_chance(mine[by].to_numpy(), mine["group"].to_numpy()) * len(places) < CHANCE:
+        mine = mine.sort("group")
+        values = (
+            mine[by].to_numpy() if shown else np.arange(mine.height, dtype=np.float64)
+        )  # as different as so many can be
+        chance = by_chance(values, mine["group"].to_numpy())
+        if (chance * len(places) < CHANCE) == shown:
             found.append(str(mine["goal_place"][0]))
     return found
 

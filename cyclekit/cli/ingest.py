@@ -63,6 +63,7 @@ def ingest(
     """
     from cyclekit.api.ingest import ingest_logs
     from cyclekit.errors import ConfigError, LogError
+    from cyclekit.ingest.free_text import key_file
     from cyclekit.ingest.ingest import left_by
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
@@ -89,6 +90,8 @@ def ingest(
         raise
     for line in grouped(report.not_read):
         terminal.remark(f"not read: {line}")
+    if pseudonymise and (key := key_file(report.dataset)).exists():
+        terminal.remark(f"{key}: the next ingest gives words the same codes by it; keep it to yourself, or delete it")
     terminal.warnings(grouped(report.said))
     terminal.done(report.to_dict(), summary(report))
 

@@ -1,12 +1,13 @@
 """Free text of logs without names and dates: only numbers, known words and words of the cell file remain.
 
 Nobody can list all names, so what remains is listed (`known_words.txt`), and everything else is replaced: the same word
-by the same code in one ingest, so that two tasks or signals stay two.
+by the same code in every ingest with one key, so that two tasks or signals stay two. The key lies beside the dataset.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import secrets
 from dataclasses import astuple, dataclass, field
@@ -14,8 +15,13 @@ from functools import cache, lru_cache
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+from cyclekit.errors import ConfigError
+from cyclekit.storage.atomic import write_errors
+from cyclekit.storage.files import resolved
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from cyclekit.config import Cell
 
@@ -66,13 +72,37 @@ def _is_time(number: str) -> bool:
     return since_1970 or 1.25e17 <= value <= 1.6e17 or 6.3e17 <= value <= 6.7e17
 
 
+def key_file(dataset: Path) -> Path:
+    """Return the file of the key: beside the dataset, never in it, so that it is not given away with it."""
+    place = resolved(dataset)
+    return place.with_name(f"{place.name}.key")
+
+
+def kept_key(file: Path) -> bytes:
+    """Return the key in a file; if there is no file, write one that only its owner can read.
+
+    Raises:
+        ConfigError: The file holds no key.
+        CyclekitError: The file cannot be written or read.
+    """
+    with write_errors(file):
+        if not file.exists():
+            with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as new:
+                new.write(f"{secrets.token_hex(16)}\n")
+        text = file.read_text(encoding="utf-8", errors="replace")
+    if re.fullmatch(r"[0-9a-f]{32}\n?", text) is None:
+        cure = "Restore it, or delete it: words then get other codes than in earlier ingests."
+        raise ConfigError(f"{file}: is no key of pseudonyms", cure=cure)
+    return bytes.fromhex(text)
+
+
 @dataclass(frozen=True)
 class Words:
     """Which words of free text remain, and what stands for the others.
 
     Attributes:
         kept: Words that remain, in lower case, in addition to the known ones.
-        key: Secret of one ingest, from which the replacements are made: without it no word can be tried.
+        key: Secret from which the replacements are made: without it no word can be tried.
     """
 
     kept: frozenset[str] = frozenset()

@@ -42,7 +42,7 @@ from cyclekit.extras import version
 from cyclekit.ingest.bad_logs import refuse_bad
 from cyclekit.ingest.card import card_of
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
-from cyclekit.ingest.free_text import Words
+from cyclekit.ingest.free_text import Words, kept_key, key_file
 from cyclekit.ingest.log_spans import robots_at_once, with_span_notes
 from cyclekit.ingest.open_units import prove_units
 from cyclekit.ingest.pseudonymise import Names, numbered_logs, take_out
@@ -148,6 +148,8 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
             return report_of(out, card, new=0, kept=count, unchanged=True)
         if settings.pseudonymise:
             store.clear()  # the files of an earlier ingest hold names
+            settings = replace(settings, words=replace(settings.words, key=kept_key(key_file(out))))
+            wanted = replace(wanted, settings=settings)
         with store.while_making(), built(out) as staging, Digests(wanted=settings.checksums) as digests:
             explicit = {path for path in roots if path.is_file()}
             resumable = None if settings.pseudonymise else store

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ingested import without_checksums
 
-from cyclekit.api.gate import GateVerdict
 from cyclekit.config.project import Project, load_project, project_to_toml
 from cyclekit.config.sequences import load_sequences
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.answers import CycleEstimates
-from cyclekit.estimate.finding import Finding
-from cyclekit.estimate.result import CycleEstimate
-from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.learning.unseen.saved import holds_unseen
 from cyclekit.text.durations import seconds_in
 from cyclekit_sim import simulate
@@ -336,95 +328,6 @@ def test_run_goes_the_whole_way_from_an_empty_folder(
     judged = cyclekit("gate", "--takt", "10min", "--share", "0.5", "--quiet")
     assert judged.code == 2
     assert "6 logged executions are too few" in judged.out
-
-
-def test_the_gate_tells_its_verdict_by_the_exit_code(begun: Path, sequences: Path, cyclekit: Shell) -> None:
-    unknown = cyclekit("gate", sequences, "--json", "--quiet", "--takt", "1h")  # six executions do not show 95 %
-    assert unknown.code == 2, unknown.err
-    assert (unknown.document["answer"], unknown.document["passed"]) == ("unknown", False)
-    assert {one["at_most"] for one in unknown.document["sequences"]} == {1.0}
-    assert all(0.5 < one["at_least"] < 0.95 for one in unknown.document["sequences"])
-    assert any("log more executions" in text for text in unknown.document["why"])
-    assert {one["level"] for one in unknown.document["findings"]} >= {"amber"}
-    failed = cyclekit("gate", sequences, "--no-check", "--quiet", "--takt", "1s", "--sequence", "one way")
-    assert failed.code == 1
-    assert failed.out.startswith("failed: 0.0 % of the cycles of 'one way' are within 1 s")
-    old = cyclekit("gate", sequences, "--takt", "1h", "--confidence", "0.9")
-    assert old.code == 2
-    assert "--share" in old.err
-
-
-@pytest.mark.parametrize(
-    "words", [["--takt", "soon"], ["--takt", "9s", "--share", "95"], ["--takt", "9s", "--sequence", "other"], []]
-)
-def test_the_gate_ends_with_2_where_it_cannot_tell(
-    words: list[str], model: Path, dataset: Path, sequences: Path, cyclekit: Shell, tmp_path: Path
-) -> None:
-    assert cyclekit("gate", model, sequences, "--dataset", dataset, "--no-check", *words).code == 2
-    assert cyclekit("gate", tmp_path / "none", sequences, "--dataset", dataset, "--takt", "9s").code == 2
-
-
-def test_the_gate_cannot_tell_where_nothing_shows_who_moves_the_slider(
-    begun: Path, sequences: Path, cyclekit: Shell
-) -> None:
-    file = without_checksums(begun / "dataset") / "dataset.json"
-    card = json.loads(file.read_text(encoding="utf-8"))
-    values = {"turns": 40, "hours": 1.0, "sliders": "", "share": 0.3}
-    card["warnings"].append({"code": "override-unknown", "values": values})
-    file.write_text(json.dumps(card), encoding="utf-8")
-    told = cyclekit("gate", sequences, "--takt", "1h", "--share", "0.01", "--confidence", "0.5")
-    assert told.code == 2
-    assert 'set_override = "people"' in told.err
-
-
-def judged(takt_s: float, *findings: Finding, confidence: float = 0.95, executions: int = 100) -> GateVerdict:
-    """What the gate says of cycles of 9 to 10 s, if 0.8 of them must be within the takt."""
-    zero = dict.fromkeys(("expected_low_s", "expected_high_s", "safety_loss_s", "dwell_s", "wait_s"), 0.0)
-    one = CycleEstimate(
-        name="a", places=("x", "y"), expected_s=9.5, support=1.0, tracks=1, limits=(), tasks=(), nominal_s=5.0,
-        distribution=CycleDistribution(np.linspace(9.0, 10.0, 101), executions=executions),
-        safety_by_activity_s={}, durations_s=(), executions=executions, findings=findings, **zero,
-    )  # fmt: skip
-    return GateVerdict(takt_s, 0.8, confidence, CycleEstimates((one,)))
-
-
-GREEN, AMBER, RED = (
-    Finding("bias", "green", "none"),
-    Finding("bias", "amber", "some"),
-    Finding("clock", "red", "assumed"),
-)
-
-
-@pytest.mark.parametrize(
-    ("takt_s", "findings", "answer"),
-    [
-        (9.95, (GREEN, AMBER), "passed"),  # what is covered by the interval is in the verdict
-        (9.5, (GREEN,), "failed"),
-        (9.8, (GREEN,), "unknown"),  # too close to tell
-        (9.95, (RED,), "unknown"),
-        (9.5, (RED,), "unknown"),
-        (4.9, (RED,), "failed"),  # the motion alone takes longer
-        (9.95, (Finding("support", "amber", "far", covered=False),), "unknown"),
-    ],
-)
-def test_the_gate_passes_and_fails_only_what_is_known(takt_s: float, findings: Any, answer: str) -> None:
-    found = judged(takt_s, *findings)
-    assert found.answer == answer
-    assert bool(found) is found.passed is (answer == "passed")
-    assert found.exit_code == {"passed": 0, "failed": 1, "unknown": 2}[answer]
-    assert bool(found.to_dict()["why"]) is (answer == "unknown")
-
-
-def test_at_a_confidence_of_one_half_the_best_estimate_decides() -> None:
-    assert [judged(at_s, confidence=0.5).answer for at_s in (9.79, 9.82)] == ["failed", "passed"]
-    assert judged(9.9, executions=20).answer == "unknown"
-
-
-@given(takt_s=st.floats(8.0, 11.0), executions=st.integers(1, 40))
-def test_an_interval_of_the_gate_holds_its_share_and_has_a_width(takt_s: float, executions: int) -> None:
-    (row,) = judged(takt_s, executions=executions).to_dict()["sequences"]
-    assert row["at_least"] <= row["share"] <= row["at_most"]
-    assert row["at_most"] - row["at_least"] > 0.02
 
 
 @given(st.floats(0.001, 2000.0), st.sampled_from(["s", "", " s", "min", "ms", "h"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from tracker_logs import kinect2, ur_rtde
 
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ConfigError
 from cyclekit.ingest.ingest import ingest
 
 
@@ -71,6 +73,37 @@ def test_names_come_back_only_from_the_logs(mapped: Path, tmp_path: Path):
     assert (again.unchanged, again.recordings_new) == (False, 2)
     assert json.loads((out / "dataset.json").read_text(encoding="utf-8"))["pseudonymised"] is False
     assert ingest([mapped], out, pseudonymise=True).recordings_new == 2
+
+
+def codes(logs: Path, out: Path) -> set[str]:
+    """The codes of the words in a pseudonymised dataset of task lists."""
+    data = Dataset.open(ingest([logs], out, pseudonymise=True).dataset)
+    return {word for task in data.every_task()["task"] for word in task.split() if word.startswith("word_")}
+
+
+def test_words_keep_their_codes_while_the_key_beside_the_dataset_is_kept(tmp_path: Path):
+    (tmp_path / "logs").mkdir()
+    for number, name in enumerate(("Kowalski", "Nowak")):
+        rows = [f"{run};ur5;weld {name};{run * 9};{run * 9 + 5}" for run in range(3)]
+        file = tmp_path / "logs" / f"list_{number}.csv"
+        file.write_text("\n".join(["run;agent;task;start_s;end_s", *rows, ""]), encoding="utf-8")
+        if not number:
+            first = codes(tmp_path / "logs", tmp_path / "d")
+    key = tmp_path / "d.key"
+    assert os.name == "nt" or key.stat().st_mode & 0o77 == 0
+    secret = key.read_bytes().strip()
+    assert not [file for file in (tmp_path / "d").rglob("*") if file.is_file() and secret in file.read_bytes()]
+    more = codes(tmp_path / "logs", tmp_path / "d")
+    assert len(first) == 1
+    assert len(more) == 2
+    assert first < more
+    key.write_text("forgotten", encoding="utf-8")
+    (tmp_path / "logs" / "list_0.csv").unlink()
+    with pytest.raises(ConfigError, match=r"d\.key: is no key"):
+        codes(tmp_path / "logs", tmp_path / "d")
+    key.unlink()
+    assert codes(tmp_path / "logs", tmp_path / "d").isdisjoint(more)
+    assert not codes(tmp_path / "logs", tmp_path / "other").issubset(more)
 
 
 @pytest.mark.parametrize("pseudonymise", [False, True])

@@ -60,7 +60,8 @@ def sheets_of_estimates(found: CycleEstimates, dataset: Dataset, model: object) 
 def sheets_of_plan(found: OrderPlan, dataset: Dataset, model: object) -> Sheets:
     """Return the sheets of an order search, all times in seconds."""
     single = {name: value for name, value in found.to_dict().items() if not isinstance(value, list)}
-    saved = dict(zip(("saves_s", "saves_low_s", "saves_high_s"), found.saves_s, strict=True))
+    saved: dict[str, object] = dict(zip(("saves_s", "saves_low_s", "saves_high_s"), found.saves_s, strict=True))
+    saved["saves"] = found.saving_in_words
     listed: Rows = [["note", text] for text in found.notes]
     listed += [["never logged", task] for task in found.unlogged]
     return {

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from ingested import without_checksums
 from msgspec.structs import replace
 
 from cyclekit import fleet as fleets
@@ -89,6 +90,19 @@ def test_one_command_makes_everything_and_a_broken_cell_does_not_hold_up_the_oth
     assert 0.1 < known["figures"]["lost_share"] < 0.9
     again = fleets.run_fleet(fleets.load_fleet(file), list(fleets.STAGES)).rows
     assert [state for name, state in states(again).items() if name.startswith("press")] == ["unchanged"] * 3
+    # the other executions had nobody beside the robot: today's cycle is of this order alone
+    card_file = without_checksums(out / "press-1" / "dataset") / "dataset.json"
+    card = json.loads(card_file.read_text(encoding="utf-8"))
+    own, *others = card["executions"]
+    for one in others:
+        one["reference"] = True
+    card_file.write_text(json.dumps(card), encoding="utf-8")
+    asked = f'[[sequence]]\nname = "as now"\nplaces = {own["places"]}\n'
+    (tmp_path / "asked.toml").write_text(asked, encoding="utf-8")
+    (row,) = fleets.run_fleet(fleets.load_fleet(file), ["report"]).rows[:1]
+    assert "“as now” is today's own order" in row.text  # and what its estimate differs by is no saving
+    pages = [file.read_text(encoding="utf-8") for file in (out / "index.html", out / "press-1" / "report.html")]
+    assert not [page for page in pages if re.search(r"saving [\d.]+|[Ss]aves [\d.]+", page.rpartition("<body>")[2])]
 
 
 @pytest.mark.slow

@@ -214,15 +214,15 @@ def test_with_a_pose_that_is_only_assumed_the_light_is_red_and_nothing_is_said_o
 
     frame = dataset.card.recordings[0].frame
     sound, page = said(frame, [estimate()])
-    assert not sound.headline.startswith("Not to be trusted")
+    assert not sound.headline.startswith("Red, ")
     assert "The distance between robot and operator explains" in page
     assumed = structs.replace(frame, method="assumed base frame")
-    assert not said(assumed, [])[0].headline.startswith("Not to be trusted")  # a logged mean rests on no pose
+    assert not said(assumed, [])[0].headline.startswith("Red, ")  # a logged mean rests on no pose
     red, page = said(assumed, [estimate()])
-    assert red.headline.startswith("Not to be trusted, see above: ")
+    assert red.headline.startswith("Red, not to be trusted: ")
     assert "Red: these numbers cannot be trusted." in page
     assert "`cyclekit calibrate points.csv` computes it" in page
-    assert page.index("Red: these numbers") < page.index("Not to be trusted, see above")
+    assert page.index("Red: these numbers") < page.index("Red, not to be trusted")
     assert "safety function acts on distance" not in page
     assert "zones or presence" not in page
 

@@ -12,6 +12,7 @@ import pytest
 from msgspec import structs
 from report_pages import Page, estimate
 
+from cyclekit.api.workbooks import sheets_of_plan
 from cyclekit.dataset.cards import OperatorPaceCard
 from cyclekit.dataset.cards.coupling import TrendCard
 from cyclekit.dataset.dataset import Dataset
@@ -292,6 +293,24 @@ def test_an_order_saves_nothing_against_its_own_logs_in_any_output(logged, tmp_p
         assert found["verdict"]["best"]["saves_s"] is None
         assert all(each["best"]["saves_s"] is None for each in found["works"])
     assert "“as now” is today's own order" in document(logged, tmp_path, estimates=[own])["answer"]
+
+
+@pytest.mark.parametrize("saves_s", [(0.0, 0.0, 0.0), (5.1, 3.2, 7.0)])
+def test_a_workbook_has_one_saving_too_and_none_for_the_order_of_its_own_logs(logged, saves_s):
+    """The order found takes 25.9 s, the logged executions 31.0 s."""
+    found = replace(PLANNED, expected_s=25.9, saves_s=saves_s)
+    sheets = sheets_of_plan(found, logged, None)
+    answer = dict(sheets["answer"])
+    assert tuple(answer[name] for name in ("saves_s", "saves_low_s", "saves_high_s")) == saves_s
+    if any(saves_s):
+        assert answer["saves_s"] == pytest.approx(answer["against_s"] - answer["expected_s"])
+        assert answer["saves"] == "5.1 s (95 % CI 3.2 to 7.0 s)"
+    else:
+        assert answer["saves"] == "nothing: it is the order of the logged executions"
+    everything = [cell for name, rows in sheets.items() if name != "provenance" for row in rows for cell in row]
+    assert {cell for cell in everything if isinstance(cell, float) and round(cell, 1) == 5.1} == (
+        {5.1} if any(saves_s) else set()
+    )
 
 
 def test_what_the_tiles_say_is_not_said_again(logged, tmp_path):

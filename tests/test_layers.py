@@ -53,7 +53,7 @@ ROOMS_OF = {
 }
 """The only rooms of cyclekit that may import each of these."""
 
-OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.schema"}
+OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.schema", "cyclekit.text.numbers"}
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,18 @@ def test_bodies_that_share_a_time_are_linked_by_motion(tmp_path):
         read(tmp_path / "joints.csv", rows, body="7")
 
 
+def test_more_rows_of_one_time_than_the_sensor_tracks_bodies_are_refused(tmp_path):
+    """All rows of one time had to be held to the end, so memory grew with the file."""
+    six = [row(i * 333_333, 0.4 * body) for i in range(3) for body in range(6)]
+    assert read(tmp_path / "joints.csv", six).people["person"].n_unique() == 6
+    again = [row(i % 6 * 333_333, 0.4) for i in range(30)]  # the sensor began again, and again
+    assert read(tmp_path / "joints.csv", again).people.height == 30
+    rounded = [row(10 + i // 9, 0.1) for i in range(36)]
+    with pytest.raises(DamagedLog, match="line 7: more than 6 rows in a row have one time") as refusal:
+        read(tmp_path / "joints.csv", rounded)
+    assert "rounded" in str(refusal.value)
+
+
 @pytest.mark.parametrize(
     "other", ["1,2,3,4", row(10, 0.5, state=3), row("time", 0.5), row(10, "left"), ",".join(["1"] * 77)]
 )

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import cyclekit
+import cyclekit_adapters
 from cyclekit.text import numbers
 
 ANY = st.one_of(
@@ -111,7 +112,7 @@ def test_one_thing_is_not_many() -> None:
     assert [numbers.counted(n, "cell") for n in (0, 1, 2)] == ["0 cells", "1 cell", "2 cells"]
 
 
-FOLDER = Path(cyclekit.__file__).parent
+FOLDER, ADAPTERS = Path(cyclekit.__file__).parent, Path(cyclekit_adapters.__file__).parent
 FLOATS = re.compile(r"[+\- z]*,?(\.\d+)?[feg%]|,")
 FIELD = re.compile(r"\{\w*:(?:[+,]?\.\d+)?[feg%,]\}")
 FORMATS = {
@@ -125,8 +126,8 @@ FORMATS = {
 
 def test_only_one_module_writes_numbers_for_people() -> None:
     found = []
-    for file in FOLDER.rglob("*.py"):
-        name = file.relative_to(FOLDER).as_posix()
+    for file in (*FOLDER.rglob("*.py"), *ADAPTERS.rglob("*.py")):
+        name = file.relative_to(FOLDER if file.is_relative_to(FOLDER) else ADAPTERS).as_posix()
         if name == "text/numbers.py" or name in FORMATS:
             continue
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):

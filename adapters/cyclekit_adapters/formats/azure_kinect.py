@@ -19,6 +19,7 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog
 from cyclekit.schema import PEOPLE, conform
+from cyclekit.text.numbers import count
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.text.json_parts import BrokenJson, json_pieces, number, parts, points
 from cyclekit_adapters.text.text_blocks import head_of
@@ -115,7 +116,7 @@ def _dump(path: Path) -> tuple[_Dump, list[str]]:
                 _take_frame(dump, value)
                 dump.frames += 1
                 if len(dump.bodies) > MAX_BODIES:
-                    cause = f"more than {MAX_BODIES:,} bodies, too many for the memory"
+                    cause = f"more than {count(MAX_BODIES)} bodies, too many for the memory"
                     raise DamagedLog(path, cause, cure="Divide the recording.")
             elif key == "joint_names" and isinstance(value, list):
                 dump.names = [str(name) for name in value]

@@ -15,6 +15,7 @@ import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, nearest
+from cyclekit.text.numbers import given
 from cyclekit_adapters.text.text_rows import SET_ASIDE
 from cyclekit_adapters.tracking.c3d_file import C3dFile, is_c3d, read_c3d
 from cyclekit_adapters.tracking.length_unit import METRES, unit_of
@@ -69,7 +70,7 @@ class _C3d:
             set_aside=pl.DataFrame(schema=SET_ASIDE),
             warnings=tuple(messages),
             facts={
-                "rate_hz": f"{log.rate_hz:g}",
+                "rate_hz": given(log.rate_hz),
                 "unit": unit,
                 "up": f"{axis}, {evidence}",
                 "software": log.text("MANUFACTURER", "SOFTWARE") or "not stated",

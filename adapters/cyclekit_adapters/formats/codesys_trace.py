@@ -24,6 +24,7 @@ import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog, LogError
+from cyclekit.text.numbers import count
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.tasks.trace_signals import are_states, left_out
@@ -97,7 +98,7 @@ class _Trace:
         """
         self.rows_read += 1
         if self.rows_read > MAX_SAMPLES:
-            raise DamagedLog(path, f"more than {MAX_SAMPLES:,} samples: too many for one trace", cure="Split it.")
+            raise DamagedLog(path, f"more than {count(MAX_SAMPLES)} samples: too many for one trace", cure="Split it.")
 
 
 class _CodesysTrace:

@@ -17,6 +17,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
+from cyclekit.text.numbers import given
 from cyclekit_adapters.robots.controller_time import RepeatFilter
 from cyclekit_adapters.robots.panda_arm import JOINTS, flange_position_m
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
@@ -88,7 +89,8 @@ def _milliseconds(path: Path, rows: TextRows) -> TextRows:
     """
     odd = rows.frame[_TIME] % 1 != 0
     if 2 * odd.sum() > len(odd):
-        cause = f"time {rows.frame.filter(odd)[_TIME][-1]:g} is not a whole number of milliseconds, like most others"
+        time = given(rows.frame.filter(odd)[_TIME][-1])
+        cause = f"time {time} is not a whole number of milliseconds, like most others"
         cure = 'libfranka writes whole ms; map the table of another logger with adapter = "csv" and its time_unit.'
         raise DamagedLog(path, cause, cure=cure)
     return rows.without(odd, "its time is not a whole number of milliseconds") if odd.any() else rows

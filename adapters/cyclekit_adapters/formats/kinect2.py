@@ -38,6 +38,8 @@ _SDK = (
 _JOINTS = [name.lower() for name in _SDK]
 _FIELDS = 1 + 4 * len(_JOINTS)
 _TICK_S = 1e-7
+MOST_BODIES = 6
+"""Number of bodies that the sensor tracks at once (`BodyFrameSource.BodyCount` of its SDK)."""
 _NAMES = ("ticks", *(f"{part}{joint}" for joint in range(len(_JOINTS)) for part in ("x", "y", "z", "state")))
 
 
@@ -65,7 +67,7 @@ class _Kinect2Csv:
             return {"people": people} | ({"skeletons": _skeletons(named)} if options.skeletons else {})
 
         def make(rows: TextRows) -> Recording:
-            named = bodies.named(_placed(rows.frame, len(_JOINTS) if options.skeletons else 1))
+            named = bodies.named(path, _placed(rows.frame, len(_JOINTS) if options.skeletons else 1))
             return Recording(
                 **tables(named),  # type: ignore[arg-type]  # the names are those of the fields
                 clock="uptime",
@@ -157,9 +159,18 @@ class _Bodies:
     _linker: Linker = field(default_factory=Linker)
     _held: pl.DataFrame | None = None
 
-    def named(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the rows of complete frames with `person`; the last frame waits, as the next block may continue it."""
+    def named(self, path: Path, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the rows of complete frames with `person`; the last frame waits, as the next block may continue it.
+
+        Raises:
+            DamagedLog: More rows have one time than the sensor tracks bodies.
+        """
         frame = frame if self._held is None else pl.concat([self._held, frame])
+        run = frame["ticks"].rle_id()
+        if (crowded := run == run.shift(MOST_BODIES)).any():
+            line = frame["source_row"][int(crowded.arg_max() or 0)]
+            cause = f"line {line}: more than {MOST_BODIES} rows in a row have one time, and the sensor tracks no more"
+            raise DamagedLog(path, cause, cure="Check whether a program rounded the ticks, and export them whole.")
         again = (frame["t_s"] == frame["t_s"][-1]).reverse() if frame.height else pl.Series([], dtype=pl.Boolean())
         waiting = frame.height if again.all() else int(again.arg_min() or 0)
         self._held = frame.tail(waiting)

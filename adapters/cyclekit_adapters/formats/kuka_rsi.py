@@ -20,6 +20,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
+from cyclekit.text.numbers import given
 from cyclekit_adapters.robots.controller_time import Range, RepeatFilter
 from cyclekit_adapters.robots.host_clock import HostClock
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
@@ -104,7 +105,7 @@ class _KukaRsiCsv:
         def finish(last: Recording) -> Recording:
             facts = {
                 "time": "IPOC, milliseconds of the controller",
-                "cycle": f"{cycles[0]:g} ms",
+                "cycle": f"{given(cycles[0])} ms",
                 "point": "RIst: the active tool in the base of the RSI configuration, mm",
             }
             messages = [
@@ -165,7 +166,7 @@ def _warnings(names: tuple[str, ...], late: float) -> list[str]:
         if any(override in name.upper() for override in _OVERRIDES)
     ]
     if late:
-        messages.append(f"the controller counts up to {late:g} late packets: the client was too slow there")
+        messages.append(f"the controller counts up to {given(late)} late packets: the client was too slow there")
     return messages
 
 

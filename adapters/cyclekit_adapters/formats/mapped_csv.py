@@ -17,6 +17,7 @@ import polars as pl
 from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
+from cyclekit.text.numbers import given
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SIGNAL_JOIN, STATES, WHERE, CsvMap, csv_map
 from cyclekit_adapters.mapped.draft import draft_of
 from cyclekit_adapters.mapped.draft_events import event_draft
@@ -341,12 +342,12 @@ class _Seen:
         if back:
             said.append(f"time steps back {back} time(s): each part is a separate run")
         if self.missing:
-            numbers = ", ".join(f"{number:g}" for number in mapping.missing)
+            numbers = ", ".join(given(number) for number in mapping.missing)
             said.append(f"the position is missing ({numbers}) in {self.missing} of {self.rows} rows: unknown there")
         if self.unsure:
             said.append(f"{mapping.confidence} is 0 in {self.unsure} of {self.rows} rows: no person is detected there")
         if self.beyond:
-            top = f"0..{mapping.scaling_max:g}"
+            top = f"0..{given(mapping.scaling_max)}"
             said.append(f"scaling is outside {top} in {self.beyond} rows: unknown there; check scaling_max")
         said += [
             f"{column} never exceeds 1 %: if it is a fraction, set scaling_max = 1"

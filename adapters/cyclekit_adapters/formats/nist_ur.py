@@ -18,6 +18,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
+from cyclekit.text.numbers import compact
 from cyclekit_adapters.robots.controller_time import RepeatFilter
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
@@ -211,7 +212,7 @@ class _Turning:
         if 1 / _FACTOR_APART < ratio < _FACTOR_APART:
             return []
         return [
-            f"the joints turn {ratio:.3g} times as far as their speeds imply: the units are wrong; "
+            f"the joints turn {compact(ratio, 3)} times as far as their speeds imply: the units are wrong; "
             "set joint_unit and joint_speed_unit"
         ]
 

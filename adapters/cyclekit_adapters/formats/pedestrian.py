@@ -18,6 +18,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import LogError
 from cyclekit.schema import PEOPLE, conform
+from cyclekit.text.numbers import fixed, given
 from cyclekit_adapters.mapped.source_map import words
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, row_blocks
 from cyclekit_adapters.text.in_parts import in_parts
@@ -87,7 +88,7 @@ class _Pedestrians:
                 "point": "defined by the tracker: usually the head or the feet",
                 "columns": " ".join(header.names),
                 "unit": f"{unit}, {stated}",
-                "rate_hz": f"{rate_hz:g}, {'from the header' if header.rate_hz else 'from the cell file'}",
+                "rate_hz": f"{given(rate_hz)}, {'from the header' if header.rate_hz else 'from the cell file'}",
             }
             return replace(last, warnings=tuple(_warnings(header, reach.most_m, rate_hz, options)), facts=facts)
 
@@ -130,14 +131,16 @@ def _table(frame: pl.DataFrame, rate_hz: float, metres: float) -> pl.DataFrame:
 def _warnings(header: PedestrianHeader, reach_m: float, rate_hz: float, options: ReadOptions) -> list[str]:
     found = []
     if header.rate_hz and options.rate_hz and abs(header.rate_hz - options.rate_hz) > 1e-9 * rate_hz:
-        found.append(f"the header's rate ({header.rate_hz:g} Hz) is used, not the cell file's ({options.rate_hz:g} Hz)")
+        found.append(
+            f"the header's rate ({given(header.rate_hz)} Hz) is used, not the cell file's ({given(options.rate_hz)} Hz)"
+        )
     if not header.titled and "columns" not in options.map:
         found.append("the columns have no names: frame, id, x, y assumed")
     if header.unit is None and "unit" not in options.map:
         found.append("no unit is stated: metres assumed for x and y; check `unit`")
     if reach_m > _SPREAD_M:
         found.append(
-            f"positions reach {reach_m:.0f} m: they may be in centimetres, millimetres or pixels; check `unit`"
+            f"positions reach {fixed(reach_m, 0)} m: they may be in centimetres, millimetres or pixels; check `unit`"
         )
     return found
 

@@ -17,6 +17,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
+from cyclekit.text.numbers import given
 from cyclekit_adapters.text.delimited import INDEX, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
@@ -73,7 +74,7 @@ class _PoseCsv:
 
         def finish(last: Recording) -> Recording:
             facts = {
-                "time": f"row / {rate_hz:g} Hz, as the cell file says",
+                "time": f"row / {given(rate_hz)} Hz, as the cell file says",
                 "place": ", ".join(places),
                 "length_unit": str(options.map.get("length_unit", "m, as libfranka writes it")),
             }
@@ -137,7 +138,9 @@ def _columns(names: tuple[str, ...]) -> dict[str, str]:
 
 
 def _warnings(options: ReadOptions) -> list[str]:
-    found = [f"the log has no clock: times are row / {options.rate_hz:g} Hz, and a missing row shifts all later ones"]
+    found = [
+        f"the log has no clock: times are row / {given(options.rate_hz)} Hz, and a missing row shifts all later ones"
+    ]
     if "length_unit" not in options.map:
         found.append("the file states no unit: metres assumed; check length_unit in [sources.map]")
     found.append("the speed scaling is not logged in this format")

@@ -18,6 +18,7 @@ import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.schema import EVENTS, conform, empty
+from cyclekit.text.numbers import fixed
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_of
@@ -103,7 +104,7 @@ def _people(path: Path, header: QualisysHeader, options: ReadOptions) -> People:
 def _events(header: QualisysHeader) -> pl.DataFrame:
     """Return table EVENTS: one row per event, with the frame as its value."""
     rows = [
-        (time if (at := header.clock.at(frame)) is None else at, name, f"frame {frame:.0f}", line)
+        (time if (at := header.clock.at(frame)) is None else at, name, f"frame {fixed(frame, 0)}", line)
         for line, name, frame, time in header.events
     ]
     kept = [row for row in rows if np.isfinite(row[0])]

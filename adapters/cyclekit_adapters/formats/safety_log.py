@@ -17,6 +17,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, EmptyLog, LogError
 from cyclekit.schema import SAFETY, conform
+from cyclekit.text.numbers import fixed, given
 from cyclekit_adapters.robots.controller_time import BackwardSteps
 from cyclekit_adapters.tasks.safety_columns import LENGTHS, WHERE, SafetyColumns, is_safety_log, mapped_columns
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, header_names, read_blocks
@@ -198,7 +199,7 @@ def _check(path: Path, columns: SafetyColumns, settings: _Settings, seen: _Seen)
         LogError: It never exceeds 1, and override_max is not given.
     """
     if columns.overrides and not settings.full_given and 0.0 < seen.max_override <= 1.0:
-        cause = f"the override never exceeds {seen.max_override:g}: it may be percent or a fraction"
+        cause = f"the override never exceeds {given(seen.max_override)}: it may be percent or a fraction"
         raise LogError(path, cause, cure="Give override_max = 1 (or 100) in [sources.map].")
 
 
@@ -206,7 +207,7 @@ def _warnings(seen: _Seen, steps_back: int) -> Iterator[str]:
     if seen.outside:
         yield f"the override is below 0 or above full speed in {seen.outside} rows: unknown there"
     if seen.far_m > FAR_M:
-        yield f"distances reach {seen.far_m:.0f} m: check the unit and give length_unit"
+        yield f"distances reach {fixed(seen.far_m, 0)} m: check the unit and give length_unit"
     if steps_back:
         yield f"time steps back {steps_back} time(s)"
 

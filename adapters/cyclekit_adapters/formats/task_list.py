@@ -15,6 +15,7 @@ import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog
+from cyclekit.text.numbers import count
 from cyclekit_adapters.tasks.task_cells import task_table
 from cyclekit_adapters.tasks.task_columns import is_task_list, require, settings_of
 from cyclekit_adapters.tasks.task_json import JsonRecords, json_names, table_of
@@ -95,7 +96,7 @@ def _cells(path: Path, settings: Settings) -> _Cells:
 
 def _few(path: Path, rows: int) -> None:
     if rows > MAX_TASKS:
-        raise DamagedLog(path, f"more than {MAX_TASKS:,} tasks: too many for one list", cure="Split it.")
+        raise DamagedLog(path, f"more than {count(MAX_TASKS)} tasks: too many for one list", cure="Split it.")
 
 
 def _header(line: str) -> tuple[tuple[str, ...], str]:
@@ -109,11 +110,11 @@ def _of_table(path: Path, settings: Settings) -> _Cells:
     columns = require(path, names, settings.columns)
     layout = TextLayout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
     texts = list(dict.fromkeys(columns.values()))
-    blocks, count = list[TextRows](), 0
+    blocks, read = list[TextRows](), 0
     for block in read_blocks(path, layout, numbers=[], texts=texts):
         blocks.append(block)
-        count += block.rows_read
-        _few(path, count)
+        read += block.rows_read
+        _few(path, read)
     rows = joined(blocks, [], texts)
     frame = rows.frame.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
     aside: list[tuple[int | None, str]] = [(row, reason) for row, reason in rows.set_aside.iter_rows()]

@@ -18,6 +18,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import DamagedLog, LogError, UnknownName
 from cyclekit.schema import ROBOT, conform
+from cyclekit.text.numbers import fixed
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, joined, read_blocks
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 
@@ -211,7 +212,7 @@ def _warnings(signals: dict[str, _Signal], lead: _Signal) -> list[str]:
     messages = ["the speed scaling is not logged in this format"]
     end_s = lead.end_s or 0.0
     messages += [
-        f"{signal.name}.csv ends at {signal.end_s:.3f} s, {lead.name}.csv at {end_s:.3f} s: unknown in between"
+        f"{signal.name}.csv ends at {fixed(signal.end_s, 3)} s, {lead.name}.csv at {fixed(end_s, 3)} s: unknown between"
         for signal in signals.values()
         if signal.end_s is not None and signal.end_s < end_s - 0.1
     ]

@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, cast
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
+from cyclekit.text.numbers import given
 from cyclekit_adapters.text.delimited import TextRows, delimiter_of, fields_of, row_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_lines, head_of
@@ -81,7 +82,7 @@ class _ViconCsv:
                 messages.append("frames do not increase throughout: the rows were edited or joined")
             messages += _not_read(log)
             facts = {
-                "rate_hz": f"{section.rate_hz:g}",
+                "rate_hz": given(section.rate_hz),
                 "unit": next(name for name, metres in METRES.items() if metres == section.metres),
                 "up": f"{up}, from the cell file" if up else "z, the default of Vicon; not in the file",
                 "section": log.title,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.adapter import Draft, Proposal
+from cyclekit.text.numbers import given
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS
 from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
 from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, name_of
@@ -65,7 +66,7 @@ def draft_of(table: DraftTable, called: str = "") -> Draft:
     _add_role(lines, found)
     {"people": _add_people, "robot": _add_robot}[found.role](lines, table, names, found)
     if not table.headed:
-        spans = [f"{name} {np.nanmin(told):g} to {np.nanmax(told):g}" for name, told in table.numbers.items()]
+        spans = [f"{name} {given(np.nanmin(told))} to {given(np.nanmax(told))}" for name, told in table.numbers.items()]
         lines.notes.append(f"its columns have no names: {', '.join(spans[:_LISTED])}")
     elif left := [column for column in table.names if column not in lines.used]:
         more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.text.numbers import compact
 from cyclekit_adapters.mapped.draft_names import ACTUAL, IDS, JOINT, OTHER_IDS, PERSON, PLACE, POSITION, ROBOT, Name
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def length_unit(values: np.ndarray, units: set[str | None], *, person: bool) -> 
         return str(named.pop()), "its name says so", True
     known = values[np.isfinite(values)]
     far = float(np.abs(known).max()) if len(known) else 0.0
-    span = f"{known.min():.4g} to {known.max():.4g}" if len(known) else "no values"
+    span = f"{compact(known.min())} to {compact(known.max())}" if len(known) else "no values"
     metres, millimetres = (30.0, 3000.0) if person else (5.0, 300.0)
     if 0.0 < far <= metres and (known % 1 != 0).any():
         return "m", f"values {span}", True
@@ -191,7 +192,7 @@ def angle_unit(values: np.ndarray, units: set[str | None]) -> tuple[str, str, bo
         return str(named.pop()), "its name says so", True
     known = values[np.isfinite(values)]
     most = float(np.abs(known).max()) if len(known) else 0.0
-    span = f"values {known.min():.4g} to {known.max():.4g}" if len(known) else "no values"
+    span = f"values {compact(known.min())} to {compact(known.max())}" if len(known) else "no values"
     if most > 12.6:
         return "deg", span, True
     if 0.5 < most <= 6.4 and (known % 1 != 0).any():
@@ -243,7 +244,7 @@ def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]
 def _full_speed(values: np.ndarray, unit: str | None) -> tuple[str, str, bool]:
     known = values[np.isfinite(values)]
     most = float(known.max()) if len(known) else 0.0
-    span = f"values {known.min():.4g} to {most:.4g}" if len(known) else "no values"
+    span = f"values {compact(known.min())} to {compact(most)}" if len(known) else "no values"
     within = len(known) > 0 and known.min() >= 0.0
     if unit == "%":
         return "100", "its name says percent", within and most <= 100.1

@@ -10,6 +10,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from cyclekit.adapter import Draft, Proposal
+from cyclekit.text.numbers import fixed
 from cyclekit_adapters.mapped.csv_map import SIGNAL_JOIN
 from cyclekit_adapters.mapped.draft_names import name_of
 from cyclekit_adapters.mapped.draft_table import DELIMITERS, DraftTable, draft_lines
@@ -48,7 +49,7 @@ def event_draft(path: Path) -> Draft | None:
     last = list(keys)[-1]
     lines += [Proposal(key, value, times[0].comment if key == last else "", sure) for key, value in keys.items()]
     lines.append(Proposal("signal", signal[0] if len(signal) == 1 else list(signal)))
-    why = f"{100 * share:.0f} % of the rows differ from the one before of the same signal: a row per change"
+    why = f"{fixed(100 * share, 0)} % of the rows differ from the one before of the same signal: a row per change"
     lines.append(Proposal("value", value, why))
     states: dict[str, set[str]] = {}
     for name, state in zip(_names(table, signal), table.cells[value], strict=True):

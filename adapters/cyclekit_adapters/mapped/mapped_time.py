@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import LogError
+from cyclekit.text.numbers import compact, given
 from cyclekit_adapters.mapped.csv_map import CsvMap
 from cyclekit_adapters.times.proof import TimeEvidence, contradicted, dated_unit, file_date, prove
 from cyclekit_adapters.times.row_times import T_S, TimeColumn
@@ -46,7 +47,7 @@ def mapped_times(path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]]
     if not mapping.time:
         return TimeColumn((), why="row number / rate_hz")
     if FRAME in mapping.time_unit:
-        return TimeColumn(mapping.time, "", (Unit(FRAME, 1.0 / (rate_hz or 1.0)),), f"frames at {rate_hz:g} Hz")
+        return TimeColumn(mapping.time, "", (Unit(FRAME, 1.0 / (rate_hz or 1.0)),), f"frames at {given(rate_hz)} Hz")
     units = tuple(unit for text in mapping.time_unit if (unit := unit_named(text)))
     why = ", ".join(unit.said for unit in units) + ", from the cell file"
     if len(mapping.time) == 1:
@@ -113,7 +114,7 @@ def require_epoch(path: Path, frame: pl.DataFrame, times: TimeColumn) -> None:
     middle = frame[T_S].drop_nulls().sort()[len(frame) // 2 :].to_list()[:1]
     if not middle or EARLIEST_S <= middle[0] <= LATEST_S:
         return
-    cause = f'clock = "epoch", but {middle[0]:.10g} s is not in the years 2000 to 2099 (time: {times.why})'
+    cause = f'clock = "epoch", but {compact(middle[0], 10)} s is not in the years 2000 to 2099 (time: {times.why})'
     fits = dated_unit(middle[0] / times.units[0].seconds, file_date(path)) if len(times.units) == 1 else None
     cure = f'It is a date in time_unit = "{fits.name}", {fits.about}. ' if fits else ""
     cure += 'Give another time_unit or time_format, or clock = "uptime" or "relative".'

@@ -17,6 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cyclekit.text.numbers import fixed
 from cyclekit_adapters.rosbag.inflate import MAX_BYTES, MAX_RATIO, STORED, check_size, inflate
 from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Bytes, Channel, Damage, Ints, Payloads, distinct
 
@@ -254,4 +255,4 @@ def moment(receive_ns: int) -> str:
     """Return a time as text: a date if it counts from 1970, else seconds."""
     if 10**17 < receive_ns < 10**19:
         return datetime.fromtimestamp(receive_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3] + " UTC"
-    return f"{receive_ns / 1e9:.3f} s"
+    return f"{fixed(receive_ns / 1e9, 3)} s"

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from cyclekit.adapter.clock_line import MAX_DRIFT, least_delays
 from cyclekit.errors import ConfigError
+from cyclekit.text.numbers import fixed, signed
 from cyclekit_adapters.rosbag.envelope import PARTS, Array, ClockLine, line_under, middle
 
 How = Literal["header", "receive", "own-clock"]
@@ -77,12 +78,12 @@ class Chosen:
     def fact(self) -> str:
         """Return a description of the choice."""
         if self.line is None:
-            delay = f", received at least {self.least_s:.3f} s later" if self.least_s is not None else ""
+            delay = f", received at least {fixed(self.least_s, 3)} s later" if self.least_s is not None else ""
             return f"{'header stamp' if self.how == 'header' else 'receive time'} ({self.why}{delay})"
         line = self.line
         return (
-            f"lower-envelope: header stamp * {line.rate:.9f} {line.offset_s:+.4f} s, typically {line.delay_s:.4f} s "
-            f"above it, {line.steps} messages ({self.why})"
+            f"lower-envelope: header stamp * {fixed(line.rate, 9)} {signed(line.offset_s, 4)} s, "
+            f"typically {fixed(line.delay_s, 4)} s above it, {line.steps} messages ({self.why})"
         )
 
 
@@ -121,8 +122,8 @@ def choose_times(sources: Mapping[str, StampSource], asked: Mapping[str, How]) -
             times.warnings.append(f"{name} is stamped by another clock ({chosen.why}): {_put(chosen.line)}")
         elif chosen.how == "header" and chosen.least_s is not None and chosen.least_s > SLOW_S:
             times.warnings.append(
-                f"{name} is received at least {chosen.least_s:.2f} s after its stamps, which are used: a slow tracker, "
-                "or another clock (then set time in [sources.map])"
+                f"{name} is received at least {fixed(chosen.least_s, 2)} s after its stamps, which are used: a slow "
+                "tracker, or another clock (then set time in [sources.map])"
             )
         elif chosen.how == "receive" and chosen.least_s is not None:
             times.warnings.append(f"{name}: {chosen.why}; the receive times are used instead")
@@ -153,11 +154,11 @@ def _choice(source: StampSource, asked: How | None) -> Chosen:
     if not line.fits and not -ahead_s <= least <= BEHIND_S:
         return Chosen("receive", NO_LINE, least_s=least)
     if least < -ahead_s:
-        return Chosen("own-clock", f"{-least:.3f} s ahead of the receive times", line, least)
+        return Chosen("own-clock", f"{fixed(-least, 3)} s ahead of the receive times", line, least)
     if least > BEHIND_S:
-        return Chosen("own-clock", f"{least:.3f} s behind the receive times", line, least)
+        return Chosen("own-clock", f"{fixed(least, 3)} s behind the receive times", line, least)
     if _drifts(source, delay, line):
-        return Chosen("own-clock", f"it drifts by {(1 / line.rate - 1) * 1e6:+.1f} ppm", line, least)
+        return Chosen("own-clock", f"it drifts by {signed((1 / line.rate - 1) * 1e6, 1)} ppm", line, least)
     return Chosen("header", "of the recorder's clock", least_s=least)
 
 
@@ -186,10 +187,10 @@ def _unsteady(source: StampSource, delay: Array) -> str:
     moved = float(floors[-1] - floors[0])
     inside = 0 < jump < steps.size - 1  # in the first or last part, growing delays look the same
     if inside and abs(moved) > STEP_S and steps[jump] > 0.6 * steps.sum():
-        return f"the header clock was set by about {-moved:+.2f} s while recording"
+        return f"the header clock was set by about {signed(-moved, 2)} s while recording"
     speed = moved / (_span_s(source) * (1.0 - 1.0 / floors.size))
     if speed < -2 * MAX_DRIFT or speed > BACKLOG:
-        return f"the header clock runs at {1 - speed:.3f} times the speed of the recorder's"
+        return f"the header clock runs at {fixed(1 - speed, 3)} times the speed of the recorder's"
     return ""
 
 
@@ -219,13 +220,13 @@ def _other_clock(sources: Mapping[str, StampSource], lines: Mapping[str, ClockLi
 
 def _off(line: ClockLine, source: StampSource) -> str:
     first = float(source.stamp_s.min())
-    return f"{float(line.of(np.array([first]))[0]) - first:+.3f} s, {(line.rate - 1) * 1e6:+.1f} ppm"
+    return f"{signed(float(line.of(np.array([first]))[0]) - first, 3)} s, {signed((line.rate - 1) * 1e6, 1)} ppm"
 
 
 def _put(line: ClockLine) -> str:
     return (
-        f"mapped to the recorder's by the line below its delays (rate {line.rate:.6f}, typically "
-        f"{line.delay_s * 1e3:.1f} ms above it); the smallest delay is unknown and remains{_speed(line)}"
+        f"mapped to the recorder's by the line below its delays (rate {fixed(line.rate, 6)}, typically "
+        f"{fixed(line.delay_s * 1e3, 1)} ms above it); the smallest delay is unknown and remains{_speed(line)}"
     )
 
 
@@ -234,8 +235,8 @@ def _speed(line: ClockLine) -> str:
     if line.drifts:
         return ""
     return (
-        f"; it runs at {1.0 / line.rate:.4f} times the recorder's speed, which no real clock does: if its time is "
-        "simulated, durations are simulated ones"
+        f"; it runs at {fixed(1.0 / line.rate, 4)} times the recorder's speed, which no real clock does: if its time "
+        "is simulated, durations are simulated ones"
     )
 
 

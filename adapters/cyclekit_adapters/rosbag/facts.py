@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from cyclekit.text.numbers import given
 from cyclekit_adapters.rosbag.clocks import EPOCH_S
 from cyclekit_adapters.rosbag.frames import described
 
@@ -45,7 +46,7 @@ def _simulated(contents: Contents, *, is_simulated: bool) -> str:
 
 
 def _scale(factor: Factor) -> str:
-    return f"{factor.topic} / {factor.full:g}"
+    return f"{factor.topic} / {given(factor.full)}"
 
 
 def _times(contents: Contents) -> dict[str, str]:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
+from cyclekit.text.numbers import fixed
 from cyclekit_adapters.rosbag.chunks import MAX_RECORDS, Chunk, ChunkedFile, Messages, moment, records
 from cyclekit_adapters.rosbag.first_bytes import MCAP
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Ints, column, gather
@@ -266,7 +267,7 @@ def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> st
     if len(head) == 25 and head[0] == _CHUNK:
         lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns  # last time of the cut chunk
         if 0 < lost_ns < 10**13:
-            message += f" (at least {lost_ns / 1e9:.1f} s)"
+            message += f" (at least {fixed(lost_ns / 1e9, 1)} s)"
     return f"{message}; copy the bag again if the original is whole"
 
 

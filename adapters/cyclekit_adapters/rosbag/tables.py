@@ -17,6 +17,7 @@ import numpy.typing as npt
 import polars as pl
 
 from cyclekit.schema import EVENTS, ROBOT, conform, joints_from_base
+from cyclekit.text.numbers import given
 from cyclekit_adapters.rosbag.chain import pose_along, reference_link
 from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.frames import unknown
@@ -229,7 +230,7 @@ def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[n
         values = contents.tracks[factor.topic].joined() / factor.full
         row = _held(contents.at(factor.topic), at_s)
         if factor.family not in ("cnr", "command") and (values > 1.0 + _SLACK).any():
-            contents.warnings.append(f"{factor.topic} exceeds {factor.full:g} in some messages: unknown there")
+            contents.warnings.append(f"{factor.topic} exceeds {given(factor.full)} in some messages: unknown there")
         known.append(np.where(row >= 0, _clamped(values, factor)[row], np.nan))
     if all(factor.family == "cnr" for factor in factors) and len(factors) > 1:
         # An override without a message so far does not slow down: the controllers start from 100 percent.

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
+from cyclekit.text.numbers import compact
 from cyclekit_adapters.tasks.repeated_names import named_apart, named_apart_by_others, paused
 from cyclekit_adapters.tasks.task_columns import TIMES
 from cyclekit_adapters.times.proof import TimeEvidence, file_date, no_duration
@@ -216,7 +217,7 @@ def _by_next_start(path: Path, times: TimeColumn, named: Unit | None, cells: pl.
             cause = (
                 f"the name of column {times.columns[0]!r} says {named.name}, but then most tasks would last past the"
             )
-            cause += f" next start of their agent, by {named.seconds / float(np.median(ratio)):.3g} times"
+            cause += f" next start of their agent, by {compact(named.seconds / float(np.median(ratio)), 3)} times"
             raise LogError(path, cause, cure="Correct the name, or the column that [sources.map] names for duration.")
         return replace(times, units=(named,), why=f"its name says {named.name}")
     lasts = took.drop_nulls().to_list()

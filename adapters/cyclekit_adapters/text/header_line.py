@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog
+from cyclekit.text.numbers import count
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
 from cyclekit_adapters.text.text_layout import (
     MAX_COLUMNS,
@@ -54,7 +55,7 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
         raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or not a text file", cure="Check the copy.")
     names = header_names(line, delimiter)
     if len(names) > MAX_COLUMNS:
-        cause = f"a header of more than {MAX_COLUMNS:,} columns: no logger writes that"
+        cause = f"a header of more than {count(MAX_COLUMNS)} columns: no logger writes that"
         raise DamagedLog(path, cause, cure="Check what the file is.")
     return names
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit.text.numbers import count
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -163,8 +164,10 @@ def _require_size(path: Path, sheet: _Weighed) -> None:
     """Refuse a sheet that would need more memory than any log."""
     span = max(sheet.rows, 1) * max(sheet.columns, 1)
     if sheet.cells > MAX_CELLS or span > max(_SMALL, min(_SPARSE * sheet.cells, 2 * MAX_CELLS)):
-        cause = f"a sheet of {sheet.rows:,} rows and {sheet.columns:,} columns with {sheet.cells:,} cells filled"
-        raise LogError(path, f"{cause}: too large", cure="Export the sheet as CSV, which is read at any size.")
+        cause = (
+            f"a sheet of {count(sheet.rows)} rows and {count(sheet.columns)} columns with {count(sheet.cells)} cells"
+        )
+        raise LogError(path, f"{cause} filled: too large", cure="Export the sheet as CSV, which is read at any size.")
 
 
 def _require_texts(path: Path, sheet: _Weighed, indices: list[int], texts: list[int]) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
+from cyclekit.text.numbers import compact
 from cyclekit_adapters.text.delimited import INDEX
 from cyclekit_adapters.times.proof import shown_s
 from cyclekit_adapters.times.row_times import T_S
@@ -73,10 +74,9 @@ class Spread:
     @property
     def said(self) -> str:
         """What was done, as a warning."""
-        each = f"about {self.rate_hz * self.step_s:.4g} rows share each"
-        return (
-            f"its stamps are {shown_s(self.step_s)} apart and {each}: they are spread evenly, at {self.rate_hz:.4g} Hz"
-        )
+        each = f"about {compact(self.rate_hz * self.step_s)} rows share each"
+        stamps = f"its stamps are {shown_s(self.step_s)} apart and {each}"
+        return f"{stamps}: they are spread evenly, at {compact(self.rate_hz)} Hz"
 
 
 def share_stamps(stamps: Sequence[str], of: Sequence[str] = ()) -> bool:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.text.numbers import compact
 from cyclekit_adapters.times.units import COUNTED, DATED, EARLIEST_S, FRAME, LATEST_S, Unit
 
 if TYPE_CHECKING:
@@ -222,7 +223,7 @@ def _no_date(unit: Unit, middle: float, values: Vector, named: Unit | None) -> s
         return None
     far = float(np.abs(values).max()) * unit.seconds
     if far > _UPTIME_S:
-        return f"{far / 86_400.0 / 365.25:.3g} years since its zero"
+        return f"{compact(far / 86_400.0 / 365.25, 3)} years since its zero"
     span = float(np.ptp(values))
     if unit.seconds >= 60.0 and abs(float(values[0])) > _FROM_ZERO * max(span, 1e-300) and named is None:
         return "it does not begin near zero"
@@ -271,11 +272,19 @@ def _no_speed(unit: Unit, values: Vector, evidence: TimeEvidence) -> str | None:
     least, most = _SPEEDS[of]
     fast = _fastest(path, values * unit.seconds, 1)
     if fast is not None and fast > most:
-        return f"it would move at {fast:.3g} m/s" if path.shape[1] < 4 else f"its joints would turn at {fast:.3g} rad/s"
+        return (
+            f"it would move at {compact(fast, 3)} m/s"
+            if path.shape[1] < 4
+            else f"its joints would turn at {compact(fast, 3)} rad/s"
+        )
     shared = len(values) // max(1, len(np.unique(values)))  # rows of one stamp
     slow = _fastest(path, values * unit.seconds, max(1, len(path) // 100, 5 * shared * (shared > 1)))
     if slow is not None and slow < least:
-        return f"it would never move faster than {slow:.2g} m/s" if path.shape[1] < 4 else f"only {slow:.2g} rad/s"
+        return (
+            f"it would never move faster than {compact(slow, 2)} m/s"
+            if path.shape[1] < 4
+            else f"only {compact(slow, 2)} rad/s"
+        )
     return None
 
 
@@ -306,7 +315,7 @@ def _other_time(unit: Unit, values: Vector, others: Sequence[tuple[str, Vector, 
 
 
 def _times(theirs: float, ours: float) -> str:
-    return f"{theirs / ours:.3g} times as fast" if ours else "on"
+    return f"{compact(theirs / ours, 3)} times as fast" if ours else "on"
 
 
 def _by_name(named: Unit, left: list[Unit], excluded: dict[str, str], evidence: TimeEvidence, step: float) -> Proof:
@@ -314,7 +323,7 @@ def _by_name(named: Unit, left: list[Unit], excluded: dict[str, str], evidence: 
     mine = [unit for unit in left if unit.seconds == named.seconds and (named.zero_s is None or unit == named)]
     mine = [unit for unit in mine if unit.zero_s is not None] or mine
     if mine:
-        why = f"its name says {named.name}; steps of {step:.6g} are {shown_s(step * named.seconds)}"
+        why = f"its name says {named.name}; steps of {compact(step, 6)} are {shown_s(step * named.seconds)}"
         why += f", {mine[0].about} by its size" if mine[0].zero_s is not None else ""
         return Proof(tuple(mine), why, "", excluded)
     reason = excluded.get(named.name) or "the evidence excludes it"
@@ -363,11 +372,11 @@ def _why(left: Sequence[Unit], step: float, evidence: TimeEvidence, excluded: di
     counts = "it rises by 1 in every row: row numbers or cycles (with rate_hz); " if len(order) < len(left) else ""
     if len(left) == 1 and order:
         other = f" (s: {excluded['s']})" if order[0].name != "s" and "s" in excluded else ""
-        interval = f"steps of {step:.6g} are {shown_s(step * order[0].seconds)} in {order[0].name}"
+        interval = f"steps of {compact(step, 6)} are {shown_s(step * order[0].seconds)} in {order[0].name}"
         return f"{interval}; no other unit fits{other}{_beside(evidence)}"
     each = ", ".join(f"{shown_s(step * unit.seconds)} if {_key(unit)}" for unit in order)
     cycles = "" if counts or step % 1.0 or len(left) == 1 else ", another time if cycles (4 ms, for example)"
-    return f"steps of {step:.6g}: {counts}{each}{cycles}"
+    return f"steps of {compact(step, 6)}: {counts}{each}{cycles}"
 
 
 def _beside(evidence: TimeEvidence) -> str:
@@ -382,5 +391,5 @@ def shown_s(seconds: float) -> str:
     """Return an interval with a unit that suits it."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
         if abs(seconds) >= size:
-            return f"{seconds / size:.4g} {unit}"
-    return f"{seconds / 1e-9:.4g} ns"
+            return f"{compact(seconds / size)} {unit}"
+    return f"{compact(seconds / 1e-9)} ns"

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -202,7 +203,7 @@ def _points(file: _Open, processor: int, parameters: _Parameters, texts: dict[tu
     rate_hz, scale = float(stated("RATE", header_rate)), float(stated("SCALE", header_scale))
     if not 0 < markers <= _MAX_COUNT or block < 2 or not 0.0 < rate_hz < 1e6 or not np.isfinite(scale) or scale == 0.0:
         cause = "no positions: no points" if markers == 0 else "its header contradicts itself"
-        raise DamagedLog(path, f"{cause} ({markers} points at {rate_hz:g} Hz from block {block})", cure=_CURE)
+        raise DamagedLog(path, f"{cause} ({markers} points at {given(rate_hz)} Hz from block {block})", cure=_CURE)
     frames = _frames_stated(parameters, processor, int(stated("FRAMES", max(last - first + 1, 0))))
     width = 4 * markers + analog
     frame = width * (4 if scale < 0.0 else 2)

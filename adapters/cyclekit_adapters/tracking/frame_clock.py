@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.text.numbers import compact, given
 from cyclekit_adapters.text.delimited import INDEX
 
 if TYPE_CHECKING:
@@ -109,9 +110,9 @@ class FrameClock:
     def warnings(self) -> list[str]:
         """Return warnings about contradictions between Time column and rate, and which of them is used."""
         if self.by_time and self.rate_hz:
-            return [f"the stated rate ({self.rate_hz:g} Hz) does not fit the Time column: the Time column is used"]
+            return [f"the stated rate ({given(self.rate_hz)} Hz) does not fit the Time column: the Time column is used"]
         if self._off_line:
-            off = f"up to {self._off_s:.3g} s, first in line {self._off_line}"
+            off = f"up to {compact(self._off_s, 3)} s, first in line {self._off_line}"
             return [f"the Time column deviates from frame / rate by {off}: frame / rate is used"]
         return []
 

@@ -12,6 +12,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit.text.numbers import compact
 from cyclekit_adapters.text.text_blocks import HEAD_BYTES, head_of
 
 if TYPE_CHECKING:
@@ -67,8 +68,8 @@ def read_header(path: Path, columns: str | None) -> PedestrianHeader:
     here, other = _step(rows, header.names), _step(rows, ("id", "frame", *header.names[2:]))
     if here > _FARTHER * other > 0.0:
         cause = (
-            f"the unnamed columns are probably id, frame, x, y: read as frame, id a person moves {here:.3g} between "
-            f"two rows, read the other way {other:.3g}"
+            f"the unnamed columns are probably id, frame, x, y: read as frame, id a person moves {compact(here, 3)} "
+            f"between two rows, read the other way {compact(other, 3)}"
         )
         raise LogError(path, cause, cure='Give the order in [sources.map]: columns = "id frame x y".')
     return header
@@ -101,9 +102,9 @@ def check_metres(path: Path, header: PedestrianHeader, rate_hz: float) -> str:
     speed_m_s = _step(rows, header.names) * rate_hz
     cause = ""
     if heights and median(heights) > _TALLEST_M:
-        cause = f"in metres people would be {median(heights):.3g} m above the floor"
+        cause = f"in metres people would be {compact(median(heights), 3)} m above the floor"
     elif speed_m_s > _FASTEST_M_S:
-        cause = f"in metres people would move at {speed_m_s:.3g} m/s"
+        cause = f"in metres people would move at {compact(speed_m_s, 3)} m/s"
     if cause:
         raise LogError(
             path, f"no unit is stated, and {cause}", cure='Give it in [sources.map]: unit = "cm" (or "mm", "m").'

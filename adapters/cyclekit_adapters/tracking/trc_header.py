@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, nearest
+from cyclekit.text.numbers import count
 from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
@@ -111,7 +112,7 @@ def _unit(path: Path, about: dict[str, str]) -> str:
 
 def _names(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
     if line.count(delimiter) >= MAX_COLUMNS:
-        cause = f"line 4: more than {MAX_COLUMNS:,} columns: no tracker writes that"
+        cause = f"line 4: more than {count(MAX_COLUMNS)} columns: no tracker writes that"
         raise DamagedLog(path, cause, cure="Check what the file is.")
     cells = [cell.strip() for cell in (line.split() if delimiter == " " else fields_of(line, delimiter))]
     named = [cell for cell in cells if cell]

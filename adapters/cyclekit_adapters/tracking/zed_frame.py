@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from cyclekit.errors import LogError
+from cyclekit.text.numbers import compact, fixed
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,8 +59,8 @@ def metres_of(path: Path, sizes: Numbers, unit: str | None) -> tuple[float, str]
     typical = float(np.median(sizes)) if len(sizes) else float("nan")
     for name, metres in UNITS.items():
         if SIZE_M[0] <= typical * metres <= SIZE_M[1]:
-            return metres, f"{name}, since bodies are {typical:.4g} {name} from end to end"
-    seen = "no body shows its size" if not len(sizes) else f"bodies are {typical:.4g} from end to end"
+            return metres, f"{name}, since bodies are {compact(typical)} {name} from end to end"
+    seen = "no body shows its size" if not len(sizes) else f"bodies are {compact(typical)} from end to end"
     cause = f"the unit may be metres or millimetres: {seen}"
     raise LogError(path, cause, cure='Give it in cell.toml: unit = "m" or unit = "mm" in [sources.map].')
 
@@ -85,7 +86,7 @@ def axes_of(path: Path, upward: Numbers, axes: str | None) -> tuple[Numbers, Up,
     shown = {"right_handed_y_up": mean[1], "image": -mean[1], "right_handed_z_up": mean[2]}
     best = max(shown, key=lambda name: float(shown[name]))
     if shown[best] < _CLEAR:
-        way = ", ".join(f"{value:.2f}" for value in mean)
+        way = ", ".join(fixed(value, 2) for value in mean)
         cause = f"the bodies do not show which axis is up: pelvis to neck is ({way}) on average"
         raise LogError(path, cause, cure=f"Give it in cell.toml, in [sources.map]: axes = one of {', '.join(AXES)}.")
     turned = "; turned to y up, z towards the camera" if best == "image" else ""

@@ -17,7 +17,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit.text.numbers import given
+from cyclekit.text.numbers import compact, given
 from cyclekit_adapters.text.delimited import INDEX, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
@@ -139,7 +139,7 @@ def _columns(names: tuple[str, ...]) -> dict[str, str]:
 
 def _warnings(options: ReadOptions) -> list[str]:
     found = [
-        f"the log has no clock: times are row / {given(options.rate_hz)} Hz, and a missing row shifts all later ones"
+        f"the log has no clock: times are row / {compact(options.rate_hz, 6)} Hz, and a missing row shifts all later ones"
     ]
     if "length_unit" not in options.map:
         found.append("the file states no unit: metres assumed; check length_unit in [sources.map]")

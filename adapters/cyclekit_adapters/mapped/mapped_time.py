@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import LogError
-from cyclekit.text.numbers import compact, given
+from cyclekit.text.numbers import compact
 from cyclekit_adapters.mapped.csv_map import CsvMap
 from cyclekit_adapters.times.proof import TimeEvidence, contradicted, dated_unit, file_date, prove
 from cyclekit_adapters.times.row_times import T_S, TimeColumn
@@ -47,7 +47,9 @@ def mapped_times(path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]]
     if not mapping.time:
         return TimeColumn((), why="row number / rate_hz")
     if FRAME in mapping.time_unit:
-        return TimeColumn(mapping.time, "", (Unit(FRAME, 1.0 / (rate_hz or 1.0)),), f"frames at {given(rate_hz)} Hz")
+        return TimeColumn(
+            mapping.time, "", (Unit(FRAME, 1.0 / (rate_hz or 1.0)),), f"frames at {compact(rate_hz, 6)} Hz"
+        )
     units = tuple(unit for text in mapping.time_unit if (unit := unit_named(text)))
     why = ", ".join(unit.said for unit in units) + ", from the cell file"
     if len(mapping.time) == 1:

@@ -19,7 +19,7 @@ from cyclekit.dataset.dataset import Place
 from cyclekit.segmentation.places import cluster
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -63,6 +63,11 @@ class PersonTrack:
         """Median time between frames with a position, s; infinite for fewer than two."""
         t = self.t_s[np.isfinite(self.xyz_m[:, :2]).all(axis=1)]
         return float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+
+    @cached_property
+    def span_s(self) -> tuple[float, float]:
+        """First and last time of its frames, s; no time lies between them if there are none."""
+        return (float(self.t_s[0]), float(self.t_s[-1])) if len(self.t_s) else (np.inf, -np.inf)
 
     def around(self, first_s: float, last_s: float) -> PersonTrack:
         """Return views of its rows from the last one before `first_s` to the first one after `last_s`."""
@@ -224,10 +229,10 @@ def gap_reasons(
         within OCCLUDED_S; `absent`: none of these.
     """
     seen, hidden = np.zeros(len(t_s), bool), np.zeros(len(t_s), bool)
-    for track in tracks:
-        seen |= np.isfinite(at_times(track, t_s, bridge_s=bridge_s)[:, 0])
+    for track, rows in _during(tracks, t_s):
+        seen[rows] |= np.isfinite(at_times(track, t_s[rows], bridge_s=bridge_s)[:, 0])
     near: dict[str, list[Vector]] = {}  # frames further away end no gap that counts as occluded
-    for track in tracks if len(t_s) else ():
+    for track, _ in _during(tracks, t_s, OCCLUDED_S):
         part = track.around(float(t_s.min()) - OCCLUDED_S, float(t_s.max()) + OCCLUDED_S)
         near.setdefault(track.person, []).append(part.t_s[np.isfinite(part.xyz_m[:, :2]).all(axis=1)])
     for known in near.values():
@@ -242,6 +247,18 @@ def gap_reasons(
     return np.where(seen, numbers["seen"], why).astype(np.int8)
 
 
+def _during(tracks: Sequence[PersonTrack], t_s: Vector, reach_s: float = 0.0) -> Iterator[tuple[PersonTrack, slice]]:
+    """Yield the tracks that last during times (N,), ascending, or end or begin within `reach_s` of them.
+
+    With each the rows of `t_s` during the track: elsewhere it has no position. A log may hold many thousand tracks.
+    """
+    first_s, last_s = (float(t_s[0]) - reach_s, float(t_s[-1]) + reach_s) if len(t_s) else (np.inf, -np.inf)
+    for track in tracks:
+        begin_s, end_s = track.span_s
+        if begin_s <= last_s and end_s >= first_s:
+            yield track, slice(int(np.searchsorted(t_s, begin_s)), int(np.searchsorted(t_s, end_s, side="right")))
+
+
 def nearest_person(
     tracks: Sequence[PersonTrack], t_s: Vector, tcp_m: Points, *, bridge_s: float, width_s: float = 0.0
 ) -> tuple[Points, Bools]:
@@ -252,14 +269,18 @@ def nearest_person(
     """
     best = np.full((len(t_s), 3), np.nan)
     distance, several = np.full(len(t_s), np.inf), np.zeros(len(t_s), bool)
-    for track in tracks:
-        here = at_times(track, t_s, bridge_s=bridge_s, width_s=width_s)
-        several |= np.linalg.norm((here - best)[:, :2], axis=1) > PLACE_M  # NaN compares false
-        offset = np.where(np.isfinite(tcp_m), here - tcp_m, 0.0)
+    for track, rows in _during(tracks, t_s):
+        here, best_m, apart_m = (
+            at_times(track, t_s[rows], bridge_s=bridge_s, width_s=width_s),
+            best[rows],
+            distance[rows],
+        )
+        several[rows] |= np.linalg.norm((here - best_m)[:, :2], axis=1) > PLACE_M  # NaN compares false
+        offset = np.where(np.isfinite(tcp_m[rows]), here - tcp_m[rows], 0.0)
         offset[~np.isfinite(here[:, 2]), 2] = 0.0
         far = np.linalg.norm(offset, axis=1)
-        better = np.isfinite(here[:, 0]) & (far < distance)
-        best[better], distance[better] = here[better], far[better]
+        better = np.isfinite(here[:, 0]) & (far < apart_m)
+        best_m[better], apart_m[better] = here[better], far[better]
     return best, several
 
 

@@ -94,6 +94,32 @@ def test_where_the_tool_is_unknown_whoever_is_seen_counts():
     assert not several.any()  # so near that both may be of one body
 
 
+@given(st.lists(st.tuples(st.floats(0.0, 90.0), st.floats(0.0, 20.0), st.floats(-3.0, 3.0)), max_size=8))
+def test_a_track_counts_while_it_lasts_and_is_not_looked_at_otherwise(spans: list[tuple[float, float, float]]):
+    """A tracker that loses its ids leaves thousands of tracks; each at every time took the square of the log."""
+    t_s, tcp_m = np.arange(20.0, 70.0, 0.1), np.zeros((500, 3))
+    tracks = [walk(np.arange(begin, begin + lasts, 0.04), y_m, f"{n}") for n, (begin, lasts, y_m) in enumerate(spans)]
+    every = [at_times(track, t_s, bridge_s=0.5, width_s=0.1) for track in tracks]
+    best, far = np.full((500, 3), np.nan), np.full(500, np.inf)
+    for here in every:
+        nearer = np.linalg.norm(here, axis=1) < far
+        best[nearer], far[nearer] = here[nearer], np.linalg.norm(here, axis=1)[nearer]
+    asked: list[int] = []
+
+    def counted(track: PersonTrack, at_s: np.ndarray, **how: Any) -> np.ndarray:
+        asked.append(len(at_s))
+        return at_times(track, at_s, **how)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cyclekit.people.tracks.at_times", counted)
+        found, _ = nearest_person(tracks, t_s, tcp_m, bridge_s=0.5, width_s=0.1)
+        why = gap_reasons(tracks, t_s, (0.0, 110.0), bridge_s=0.5)
+    assert np.array_equal(found, best, equal_nan=True)
+    seen = [np.isfinite(here[:, 0]) for here in (at_times(track, t_s, bridge_s=0.5) for track in tracks)]
+    assert ((why == 0) == (np.any(seen, axis=0) if seen else np.zeros(500, bool))).all()
+    assert sum(asked) <= 2 * sum(int(10 * (lasts + 0.2)) + 1 for _, lasts, _ in spans)
+
+
 def circling(frames: int = 900) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Two people at 30 Hz, walking in circles that come within 0.2 m; times, positions and who it is."""
     t = np.arange(frames) / 30

@@ -138,9 +138,8 @@ def _columns(names: tuple[str, ...]) -> dict[str, str]:
 
 
 def _warnings(options: ReadOptions) -> list[str]:
-    found = [
-        f"the log has no clock: times are row / {compact(options.rate_hz, 6)} Hz, and a missing row shifts all later ones"
-    ]
+    clock = f"times are row / {compact(options.rate_hz, 6)} Hz"
+    found = [f"the log has no clock: {clock}, and a missing row shifts all later ones"]
     if "length_unit" not in options.map:
         found.append("the file states no unit: metres assumed; check length_unit in [sources.map]")
     found.append("the speed scaling is not logged in this format")

@@ -126,43 +126,6 @@ def clock(form: str, t_s: float, begin: datetime) -> str:
     return text.replace("@", f"{when.microsecond // 1000:03d}")
 
 
-@pytest.mark.parametrize(
-    ("form", "begin"),
-    [
-        ("%H:%M:%S:%f", "06:59:50"),
-        ("%H:%M:%S;%f", "06:59:50"),
-        ("%H:%M:%S,%f", "23:59:50"),
-        ("%H:%M:%S.%f", "23:59:50"),
-        ("%I:%M:%S.%f %p", "23:59:50"),
-        ("%I:%M:%S.%f %p", "11:59:50"),
-        ("%M:%S.%f", "06:59:50"),
-        ("%d.%m.%Y %H:%M:%S:%f", "06:59:50"),
-        ("%m/%d/%Y %I:%M:%S.%f %p", "23:59:50"),
-        ("%Y-%m-%d %H:%M:%S.%f CEST", "06:59:50"),
-        ("%Y-%m-%dT%H:%M:%S.%fZ", "06:59:50"),
-        ("%d-%m-%Y %H:%M:%S.%f", "06:59:50"),
-        ("%d.%m.%y %H:%M:%S.%f", "06:59:50"),
-    ],
-)
-def test_times_are_read_as_people_write_them_also_across_midnight(tmp_path: Path, form: str, begin: str) -> None:
-    start = datetime.fromisoformat(f"{DATE} {begin}").replace(tzinfo=UTC)
-    times = [clock(form, t, start) for t in T_S.tolist()]
-    log = robot_log(tmp_path / "robot.csv", "Timestamp", times, T_S, 0.5)
-    draft, source = drafted(log)
-    assert draft.unsure == 0
-    got = read(log, source)
-    assert got.set_aside.is_empty()
-    assert (got.robot["t_s"] - got.robot["t_s"][0]).to_list() == pytest.approx(T_S.tolist(), abs=1e-3)
-
-
-def test_a_fraction_that_is_left_out_where_it_is_zero_sets_no_row_aside(tmp_path: Path) -> None:
-    start = datetime.fromisoformat(f"{DATE} 06:59:50").replace(tzinfo=UTC)
-    times = [clock("%Y-%m-%d %H:%M:%S.%f", t, start).removesuffix(".000") for t in T_S.tolist()]
-    log = robot_log(tmp_path / "robot.csv", "when", times, T_S, 0.5)
-    got = read(log, drafted(log)[1])
-    assert got.robot["t_s"].to_list() == pytest.approx((start.timestamp() + T_S).tolist())
-
-
 @pytest.mark.parametrize("name", ["#1", "Werte"])
 def test_a_time_is_found_by_its_cells_where_its_column_has_no_such_name(tmp_path: Path, name: str) -> None:
     times = [clock("%d.%m.%Y %H:%M:%S.%f", t, BEGIN) for t in T_S.tolist()]

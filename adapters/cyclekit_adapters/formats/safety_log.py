@@ -112,7 +112,7 @@ class _SafetyCsv:
             names,
             delimiter,
             1,
-            decimal_comma=delimiter != "," and not times.pattern,
+            decimal_comma=delimiter != "," and not times.pattern and _has_comma(path, delimiter),
             encoding=file_encoding(path) or "utf-8",
             quotes=True,
         )
@@ -159,6 +159,10 @@ def _sample(path: Path, at: int, column: str, delimiter: str) -> list[str]:
     if not sample:
         raise EmptyLog(path)
     return sample
+
+
+def _has_comma(path: Path, delimiter: str) -> bool:
+    return any("," in cell for line in head_lines(path, _FIRST)[1:] for cell in fields_of(line, delimiter))
 
 
 def _times(path: Path, sample: list[str], column: str, delimiter: str, settings: _Settings) -> TimeColumn:

@@ -173,6 +173,7 @@ def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
     texts = [name for name in names.values() if name.column in table.texts]
     clocks = [name for name in texts if any(":" in cell for cell in table.texts[name.column][:5])]
     dates = [name for name in texts if name.says({"date", "datum"}) and name not in clocks]
+    clocks += [name for name in texts if name.is_time and name not in (*clocks, *dates)]
     found = [time for date in dates for clock in clocks if (time := _patterned(table, (date.column, clock.column)))]
     found += [time for name in clocks if (time := _patterned(table, (name.column,)))]
     named = {name.column for name in texts if name.is_time}

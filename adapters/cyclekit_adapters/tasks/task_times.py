@@ -16,6 +16,7 @@ from cyclekit.errors import LogError
 from cyclekit.text.numbers import compact
 from cyclekit_adapters.tasks.repeated_names import named_apart, named_apart_by_others, paused
 from cyclekit_adapters.tasks.task_columns import TIMES
+from cyclekit_adapters.times.local_clock import LocalClock, is_of_hour
 from cyclekit_adapters.times.proof import TimeEvidence, file_date, no_duration
 from cyclekit_adapters.times.row_times import TimeColumn, settled, time_column
 from cyclekit_adapters.times.units import COUNTED, unit_in_name
@@ -89,11 +90,15 @@ def with_seconds(
     """
     start = _times(path, cells, "start", columns, settings, None, decimal_comma=decimal_comma)
     cells = cells.with_columns(_seconds("start", start, settings.zone, decimal_comma))
+    clock = LocalClock(settings.zone, start.pattern or None)
+    cells = _in_order(path, cells, clock)
     last = "end" if "end" in columns else "duration"
     read = {"start": start, last: _times(path, cells, last, columns, settings, start, decimal_comma=decimal_comma)}
     cells = cells.with_columns(_seconds(last, read[last], settings.zone, decimal_comma))
     if last == "duration":
         cells = cells.with_columns(end="duration", end_s=pl.col("start_s") + pl.col("duration_s"))
+    else:
+        cells = cells.with_columns(_after_start(read[last], moved=clock.moved > 0))
     for key in (key for key in _PLAN if key in cells.columns):
         read[key] = _times(path, cells, key, columns, settings, start, decimal_comma=decimal_comma)
     if last == "end" and _zone_named(start) != _zone_named(read["end"]) and settings.zone is None and start.pattern:
@@ -120,11 +125,57 @@ def with_seconds(
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
     if "execution" in cells.columns:
         repeated += paused(cells)
-    warnings = [*repeated, *start.warnings(settings.zone)]
+    warnings = [*repeated, *start.warnings(settings.zone), *clock.warnings()]
     facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}
     if plan is not None:
         facts["plan counts from"] = "the start of each execution" if plan == "execution" else "the zero of the log"
     return cells, Clocks("epoch" if zoned else "relative", plan, start.time_units, tuple(warnings), facts)
+
+
+def _in_order(path: Path, cells: pl.DataFrame, clock: LocalClock) -> pl.DataFrame:
+    """Return the tasks with starts of later days, and of the hour that summer time repeats, moved.
+
+    Rows in the order of time tell where a clock begins again. In others, such as those of one agent after the other,
+    times of day are of one day or night: it begins after the longest time without a start.
+
+    Raises:
+        LogError: They are of more days than one, and their rows do not tell which.
+    """
+    start = cells["start_s"]
+    steps, known = start.drop_nulls().diff().drop_nulls(), start.drop_nulls().sort()
+    if not clock.pattern or not len(steps):
+        return cells
+    day_s = 3600.0 if is_of_hour(clock.pattern) else 86_400.0
+    if is_dated(clock.pattern) or float(steps.max() or 0.0) <= 0.5 * day_s:  # type: ignore[arg-type]  # a number
+        back = steps.filter(steps < 0.0)
+        in_order = not is_dated(clock.pattern) or ((back + 3600.0).abs() < 600.0).all()
+        return cells.with_columns(start_s=clock.in_order(start)) if in_order else cells
+    if float(steps.min() or 0.0) >= -0.5 * day_s:  # type: ignore[arg-type]  # a number
+        return cells
+    gaps = known.diff().drop_nulls()
+    at = int(gaps.arg_max() or 0)
+    if float(gaps[at]) < 0.5 * day_s:
+        cause = "its times have no date, are of several days, and its rows are not in the order of time"
+        raise LogError(path, cause, cure="Write them with the date, 2024-05-01T10:00:00.")
+    clock.midnights = 1
+    late = pl.col("start_s") <= float(known[at])
+    return cells.with_columns(start_s=pl.col("start_s") + late.cast(pl.Float64) * day_s)
+
+
+def _after_start(end: TimeColumn, *, moved: bool) -> pl.Expr:
+    """Return the ends, those of the next day (hour), or of the hour that summer time repeats, after their starts.
+
+    Args:
+        end: Interpretation of the ends.
+        moved: Whether starts were moved to the repeated hour.
+    """
+    before_s = pl.col("start_s") - pl.col("end_s")
+    if not end.pattern or (is_dated(end.pattern) and not moved):
+        return pl.col("end_s")
+    if is_dated(end.pattern):
+        return pl.col("end_s") + pl.when(before_s.is_between(0.0, 3600.0, closed="right")).then(3600.0).otherwise(0.0)
+    day_s = 3600.0 if is_of_hour(end.pattern) else 86_400.0
+    return pl.col("end_s") + day_s * (before_s / day_s + 0.5).floor().clip(0.0)
 
 
 def _times(

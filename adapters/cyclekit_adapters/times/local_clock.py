@@ -24,6 +24,11 @@ NEWEST_FIRST = 5
 """Minimum number of steps back in a log whose newest row comes first."""
 
 
+def is_of_hour(pattern: str) -> bool:
+    """Return whether times of a form without a date are minutes and seconds alone."""
+    return not any(part in pattern for part in ("%H", "%I", "%T", "%R"))
+
+
 def newest_first(t_s: pl.Series) -> bool:
     """Return whether most rows of a log with times (N,), s, lie before their predecessor."""
     steps = t_s.drop_nulls().diff().drop_nulls()
@@ -78,7 +83,7 @@ class LocalClock:
 
     def _on_later_days(self, t_s: pl.Series) -> pl.Series:
         """Return times of day, moved by the days since the first; a single garbled time begins no day."""
-        day_s = HOUR_S if not any(part in str(self.pattern) for part in ("%H", "%I", "%T", "%R")) else 24 * HOUR_S
+        day_s = HOUR_S if is_of_hour(str(self.pattern)) else 24 * HOUR_S
         known = t_s.is_not_null()
         here = t_s.filter(known).to_numpy()
         seen = np.concatenate([self._before, here])
@@ -108,7 +113,7 @@ class LocalClock:
             of = "of the hour repeated at the end of summer time: the second one, by their order"
             said.append(f"{self.moved} times are {of}")
         if self.midnights:
-            what = "day" if any(part in str(self.pattern) for part in ("%H", "%I", "%T", "%R")) else "hour"
+            what = "hour" if is_of_hour(str(self.pattern)) else "day"
             said.append(f"its times have no date and begin again {self.midnights} time(s): a new {what} each time")
         if self.set_back:
             said.append("its times step back by an hour: at the end of summer time? time_zone places them")

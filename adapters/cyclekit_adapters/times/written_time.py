@@ -20,15 +20,21 @@ if TYPE_CHECKING:
 _FIRST_YEAR = 1900
 """Earliest year of any log: `06.03.25` read with %Y would give the year 25."""
 _CLOCKS = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
-_DATES = ("%d.%m.%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%y", "%m/%d/%y", "%d/%m/%y")
+_DATES = (
+    *("%d.%m.%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%y", "%m/%d/%y", "%d/%m/%y"),
+    *("%d-%b-%Y", "%d %b %Y", "%b %d %Y"),
+)
 _FORMS = (
     *("iso", "%Y-%m-%d %H:%M", "%Y-%m-%d %I:%M:%S%.f %p"),
     *(f"{date} {clock}" for date in _DATES for clock in _CLOCKS),
-    *("%Y%m%d %H%M%S%.f", "%Y-%m-%d-%H:%M:%S%.f", "%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f"),
+    *("%Y%m%d %H%M%S%.f", "%Y%m%dT%H%M%S%.f", "%Y-%m-%d-%H:%M:%S%.f", "%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f"),
+    *("%d.%m.%Y %H.%M.%S%.f", "%a %b %d %H:%M:%S%.f %Y"),
     *(*_CLOCKS, "%M:%S%.f"),
 )
 _FRACTION = r"(\d:\d\d:\d\d)[;:](\d{1,9})"
 """A fraction of a second after a colon or a semicolon."""
+_PREFIX = r"^(?:L?DT#|L?TOD#|0 days )"
+"""What IEC 61131 and pandas write before a date, a time of day and a time."""
 _OF_A_PATTERN = re.compile(r"(?<=%[ST])[,;:.]?%[.\d]*f")
 _ABBREVIATIONS = {
     "UTC": "+00:00",
@@ -101,7 +107,12 @@ def written_seconds(text: pl.Expr, pattern: str, zone: str | None, *, zoned: boo
 
 def _plain(text: pl.Expr) -> pl.Expr:
     """Return times with a point before the fraction, one blank after the date, and the zone as an offset."""
-    plain = text.str.strip_chars().str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2").str.replace(_FRACTION, "$1.$2")
+    plain = (
+        text.str.strip_chars()
+        .str.replace(_PREFIX, "")
+        .str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2")
+        .str.replace(_FRACTION, "$1.$2")
+    )
     plain = plain.str.replace(r"(\d),(\d)", "$1.$2")
     plain = plain.str.replace(r"(\d)\.?,?\s+(\d)", "$1 $2")  # 01.05.2024, 10:00
     for word, offset in _ABBREVIATIONS.items():

@@ -59,6 +59,7 @@ def entry_of(
     expected = float(durations.mean())
     bias = check.doubted_bias if check else 0.0
     low, high = means.interval(bias_s=bias * expected, seed=ask.seed)
+    less_s, more_s = (part * expected for part in cycles.beyond)
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = len(set(tracks.executions if tracks else ask.dataset.executions["execution"]))
@@ -68,13 +69,13 @@ def entry_of(
         drawn_errors(means.error, means.judged, ask.seed, count=len(weights)),
         bias,
         executions=logged,
-    )
+    ).shifted(less_s, more_s)
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,
         expected_s=expected,
-        expected_low_s=low,
-        expected_high_s=high,
+        expected_low_s=low + less_s,
+        expected_high_s=high + more_s,
         distribution=single,
         levels=ask.quantiles,
         nominal_s=sum(share.nominal_s for share in shares),

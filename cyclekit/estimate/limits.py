@@ -115,7 +115,14 @@ def _wider(task: TaskShare, by: tuple[float, float]) -> TaskShare:
 def limits_of_cycles(cycles: Rolled) -> list[str]:
     """Return the other limits of one sequence's number, one sentence each."""
     found = []
-    if cycles.spliced > CONTINUED:
+    less, more = cycles.beyond
+    if round(more - less, 2):
+        found.append(
+            f"{percent(cycles.spliced)} of the time is after the end of each log, and the interval covers that people "
+            "then go on as elsewhere in the logs and that they stay as they are at the ends of logs "
+            f"({signed_percent(less)} and {signed_percent(more)}): log executions as long as this order"
+        )
+    elif cycles.spliced > CONTINUED:
         found.append(
             f"{percent(cycles.spliced)} of the time the operator's track is continued with parts of other "
             "executions that begin in the same state"

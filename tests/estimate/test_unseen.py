@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from cyclekit.estimate.operator.tracks import OperatorTracks
+    from cyclekit.estimate.result import CycleEstimate
+
 HUMAN = [f"human_{part}{axis}_m" for part in ("", "goal_") for axis in "xyz"]
 
 
@@ -159,3 +162,47 @@ def test_who_needs_positions_of_people_is_told_so(unseen: tuple[UnseenOperator, 
     with pytest.raises(ModelError, match="the robot's log alone") as told:
         load_model(unseen[1])
     assert "cyclekit estimate" in (told.value.cure or "")
+
+
+def test_after_the_ends_of_the_logs_people_go_on_or_stay_as_they_are_there(
+    robot_alone: Dataset,
+    unseen: tuple[UnseenOperator, Path],
+    routes: list[tuple[str, ...]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    long = [place for route in routes[:3] for place in route[1:]]
+    orders = [TaskSequence("long", (routes[0][0], *long)), TaskSequence("logged", routes[0])]
+    tracks = operator_tracks(robot_alone, horizon_s=300.0, model=unseen[0])
+    assert tracks.stays is not None
+    assert tracks.state is not None
+    ends = {state[last - 1].tobytes() for state, last in zip(tracks.state, tracks.logged, strict=True)}
+    for state, last, stays in zip(tracks.state, tracks.logged, tracks.stays, strict=True):
+        assert ({each.tobytes() for each in state[last:]} <= ends) is bool(stays)
+
+    def answered(speed_of: dict[bool, float]) -> dict[str, CycleEstimate]:
+        """The orders where people are after the ends of logs in the state with the next speed, by whether they stay."""
+        speeds = np.array([float(name.split()[-2]) / 100.0 for name in unseen[0].states])
+
+        def told(*args: Any, **named: Any) -> OperatorTracks:
+            found = operator_tracks(*args, **named)
+            assert found.stays is not None
+            assert found.state is not None
+            for state, last, stays in zip(found.state, found.logged, found.stays, strict=True):
+                state[last:] = np.abs(speeds - speed_of[bool(stays)]).argmin(), 0.5
+            return found
+
+        monkeypatch.setattr("cyclekit.estimate.cycles.operator_tracks", told)
+        return {each.name: each for each in estimate(unseen[0], robot_alone, orders, check=None, validate=False)}
+
+    slow, fast, either = (answered({True: one, False: other}) for one, other in ((0.5, 0.5), (1.0, 1.0), (1.0, 0.5)))
+    apart_s = slow["long"].expected_s - fast["long"].expected_s
+    assert apart_s > 0.1 * fast["long"].expected_s
+    assert either["long"].expected_low_s < fast["long"].expected_s
+    assert either["long"].expected_high_s > slow["long"].expected_s
+    assert slow["long"].expected_high_s < slow["long"].expected_s + 0.5 * (
+        slow["long"].expected_s - fast["long"].expected_s
+    )
+    assert fast["long"].expected_high_s < fast["long"].expected_s + 0.5 * apart_s
+    assert either["logged"].expected_s == pytest.approx(fast["logged"].expected_s, rel=0.01)
+    said = [any("after the end of each log" in text for text in each["long"].limits) for each in (slow, fast, either)]
+    assert said == [False, False, True]

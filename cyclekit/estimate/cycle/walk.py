@@ -37,6 +37,8 @@ class Rolled:
             shape (1, tasks), and the activities are unknown.
         own_s: Time of each cycle on the track's own log, without safety loss and the safety loss: (K, 2); None if
             unknown.
+        beyond: How much less and more the mean is if all people stay as they are at the ends of logs, or all go on as
+            elsewhere, as shares of it: at most and at least 0.
     """
 
     duration_s: Vector
@@ -47,6 +49,7 @@ class Rolled:
     spliced: float
     simulated: bool = True
     own_s: Floats | None = None
+    beyond: tuple[float, float] = (0.0, 0.0)
 
     def resampled_means(self, weights: Floats) -> Vector:
         """Return the mean duration in each resample of the logs, shape (resamples,), s.
@@ -180,6 +183,13 @@ def _of_one(
     known_s, own_loss_s = tracks.logged * tracks.step_s, simulated.own_loss_s[mine]
     own_base_s = np.maximum(np.minimum(duration, known_s) - own_loss_s, 0.0)
     spliced_s = np.where(np.isfinite(duration), np.maximum(duration - known_s, 0.0), 0.0)
+    beyond = np.zeros(1)
+    if tracks.stays is not None:
+        lost_s = np.where(spliced_s > 0.0, simulated.robot.lost_s[mine].sum(axis=1) - own_loss_s, 0.0)
+        free_s = spliced_s - lost_s
+        groups = [some for some in (tracks.stays, ~tracks.stays) if free_s[some].any()]
+        rates = np.array([lost_s[some].sum() / free_s[some].sum() for some in groups])
+        beyond = np.append(rates * free_s.sum() - lost_s.sum(), 0.0) / time_s
     return Rolled(
         duration,
         standstill_s,
@@ -188,4 +198,5 @@ def _of_one(
         float(simulated.known[mine].sum()) / looked if looked else float("nan"),
         float(spliced_s.sum()) / time_s,
         own_s=np.stack([own_base_s, own_loss_s], axis=1),
+        beyond=(float(beyond.min()), float(beyond.max())) if len(beyond) > 2 else (0.0, 0.0),
     )

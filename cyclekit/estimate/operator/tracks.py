@@ -7,6 +7,10 @@ Econometrica 46, 1978).
 
 If a cycle takes longer than the logged one, the track continues: with what the operator really did next, if the log
 runs on; else with a stretch of another track that begins in the same state (`continuation`), repeatedly, to any length.
+A state of signals, or of the robot's speed alone, does not tell what people are at: those who have finished look like
+those who come back at once. Then no log tells how they go on after its end: every second track continues with the
+states in which logs end, as if people stayed so. Where logs end at any instant both have the same mean. (Where they do
+not, in one of two simulated cells people stayed, in the other they went on: the last states do not tell which.)
 
 While the operator was briefly hidden he was still present: positions are interpolated linearly between the last sight
 and the next. Only while he was away is there no operator.
@@ -21,7 +25,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, EstimateError
-from cyclekit.estimate.operator.continuation import Continuation, Stretch
+from cyclekit.estimate.operator.continuation import MIN_S, Continuation, Stretch
 from cyclekit.estimate.operator.pauses import RUN_ON_S, runs_on, starting_scaling
 from cyclekit.estimate.robot.safety import Dynamics, OnStates
 from cyclekit.people.tracks import OCCLUDED_S
@@ -51,6 +55,7 @@ class OperatorTracks:
         runs_on: Whether most executions, with the operator, are followed by the next one without a pause.
         state: Input of the safety function in place of x_h, shape (K, T, D), D not 3; None: its input is x_h.
         scaling: Scaling at the start, shape (K,); NaN or None: as commanded.
+        stays: Whether each track continues in the states in which logs end, shape (K,); None: none does.
     """
 
     xyz_m: NDArray[np.float64]
@@ -63,6 +68,7 @@ class OperatorTracks:
     runs_on: bool = False
     state: NDArray[np.float64] | None = None
     scaling: NDArray[np.float64] | None = None
+    stays: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -125,11 +131,11 @@ def operator_tracks(
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
     length = int(np.ceil(horizon_s / step)) + 2
-    where, activity, logged = _continued(tracks, begins, _after(dataset), step, length, states=on_states)
+    where, activity, logged, stays = _continued(tracks, begins, _after(dataset), step, length, states=on_states)
     scaling = starting_scaling(dataset, begins, Dynamics.of(dataset.card.dynamics, model).ramp_up_per_s)
     goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
     rest = tuple(names), logged, tuple(begins), step, goal_m, runs_on(dataset), state, scaling
-    return OperatorTracks(where[..., :3], activity, *rest)
+    return OperatorTracks(where[..., :3], activity, *rest, stays=stays)
 
 
 def _continued(
@@ -140,14 +146,23 @@ def _continued(
     length: int,
     *,
     states: bool,
-) -> tuple[Points, Ints, Ints]:
-    """Return tracks, (K, length, 3 or more) and (K, length), and how many samples of each are its own, (K,)."""
+) -> tuple[Points, Ints, Ints, NDArray[np.bool_] | None]:
+    """Return tracks, (K, length, 3 or more) and (K, length), samples of each that are its own, (K,), and `stays`."""
     ran_on = [_run_on(tracks, [name, *after[name]], step, states=states) for name in begins]
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
     owners = [followed.get(last, -1) for _, last in ran_on]
     where, activity = Continuation(pool, step).extend([stream for stream, _ in ran_on], owners, length)
-    return where, activity, np.array([len(stream.where) for stream, _ in ran_on])
+    logged = np.array([len(stream.where) for stream, _ in ran_on])
+    if not states or not pool:
+        return where, activity, logged, None
+    stays, spell = np.arange(len(logged)) % 2 > 0, round(MIN_S / step)
+    last = np.random.default_rng(0).integers(len(pool), size=(len(logged), -(-length // spell))).repeat(spell, axis=1)
+    ends = [np.array([getattr(stretch, of)[-1] for stretch in pool]) for of in ("where", "activity")]
+    for k in np.flatnonzero(stays).tolist():
+        some = last[k, : length - min(logged[k], length)]
+        where[k, logged[k] :], activity[k, logged[k] :] = ends[0][some], ends[1][some]
+    return where, activity, logged, stays
 
 
 def logged_tracks(dataset: Dataset) -> dict[str, LoggedTrack]:

@@ -38,6 +38,7 @@ def only_tracks(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
         goal_m=None if tracks.goal_m is None else tracks.goal_m[kept],
         state=None if tracks.state is None else tracks.state[kept],
         scaling=None if tracks.scaling is None else tracks.scaling[kept],
+        stays=None if tracks.stays is None else tracks.stays[kept],
     )
 
 

@@ -155,6 +155,22 @@ const sharesOfDraws = (single, which, takt_s, bias, error) => sorted(Float64Arra
   return all / weight;
 }));
 
+const beyondOf = (cycles) => { // Rolled.beyond: after the ends of the logs people stay, or go on
+  const [lost, free] = [[0, 0], [0, 0]];
+  if (!facts.tracks.stays) return [0, 0];
+  cycles.which.forEach((track, n) => {
+    const after_s = cycles.duration_s[n] - cycles.ownLoss_s[n] - cycles.ownBase_s[n];
+    if (after_s <= NOTHING) return;
+    const [stays, lost_s] = [Number(facts.tracks.stays[track]), cycles.lost_s[n] - cycles.ownLoss_s[n]];
+    lost[stays] += lost_s;
+    free[stays] += after_s - lost_s;
+  });
+  if (!free[0] || !free[1]) return [0, 0];
+  const off = lost.map((value, n) => (value / free[n]) * (free[0] + free[1]) - lost[0] - lost[1]);
+  const all = cycles.duration_s.reduce((sum, value) => sum + value, 0);
+  return [Math.min(0, ...off) / all, Math.max(0, ...off) / all];
+};
+
 const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles say
   const durations = cycles.duration_s.map((value) => value * means.factor);
   const expected = mean(durations);
@@ -165,8 +181,9 @@ const entryOf = (cycles, means, legs, takt_s) => { // entry_of: what the cycles 
   const lost = cycles.loss_s.reduce((sum, value) => sum + value, 0);
   const slower = lost > 0 ? Math.max(1 + ((means.factor - 1) * mean(cycles.duration_s)) / lost, 0) : 1;
   const nominal = legs.reduce((sum, leg) => sum + leg.nominal_s, 0);
-  const [less, ofWork] = widthOf(legs);
-  const more = ofWork + interludesIn_s({ robot: legs.map((leg) => leg.name.split("->")[1]) });
+  const [after, ofWork] = [beyondOf(cycles), widthOf(legs)];
+  const less = ofWork[0] + after[0] * expected;
+  const more = ofWork[1] + after[1] * expected + interludesIn_s({ robot: legs.map((leg) => leg.name.split("->")[1]) });
   const single = shifted(sorted(alone), less, more);
   const stands = cycles.stand_s.reduce((sum, value) => sum + value, 0);
   const stretch = stands > 0 ? (expected - nominal - lost * slower) / stands : 0;

@@ -118,6 +118,7 @@ def settings_of(page: PageInputs, model: SafetyModel, dataset: Dataset, tracks: 
             "count": len(tracks.executions),
             "step_s": tracks.step_s,
             "logged": tracks.logged.tolist(),
+            "stays": None if tracks.stays is None else tracks.stays.tolist(),
             "scaling": None if tracks.scaling is None else [None if s != s else s for s in tracks.scaling.tolist()],
         },
         "dynamics": vars(dynamics),

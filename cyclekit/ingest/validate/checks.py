@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.ingest.validate.motion import PERSON, TCP, Kind, Places
+from cyclekit.ingest.validate.motion import PERSON, TCP, WRONG_UNIT, Kind, Places
 from cyclekit.ingest.validate.no_person_values import NoPersonValues
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
 from cyclekit.text.numbers import compact, fixed, given
@@ -30,9 +30,6 @@ FASTEST_S = 5e-5
 """Least time between rows of a robot log, s: no controller logs at 20 kHz."""
 DAY_S = 86_400.0
 _NEAR = 8
-WRONG_UNIT = 0.1
-"""Share of a column's known values beyond what can be from which its unit is wrong, not single rows garbled. Half or
-twice of it decides no log of the tests: garbled are a few in a hundred, of a wrong unit nearly all."""
 LATEST_S = 1e11
 """Maximum time, s: the year 5138, beyond any clock."""
 

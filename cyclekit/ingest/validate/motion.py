@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 STILL_ROWS = 100
 """Minimum number of rows for a warning about a constant value."""
+WRONG_UNIT = 0.1
+"""Share of a column's known values beyond what can be from which its unit is wrong, not single rows garbled. Half or
+twice of it decides no log of the tests: garbled are a few in a hundred, of a wrong unit nearly all."""
 NOWHERE_M = 1e9
+_THINNED = 8
+"""Only each so many rows of a long log are judged by their speed; a size."""
 NEAR_M = 0.02
 """Distance from the origin, m, that every person or tool exceeds, because the robot's base or the camera is there."""
 
@@ -60,6 +65,7 @@ class Places:
         self._same: Vector | None = None
         self._still, self._seen = True, 0
         self._most_m = 0.0
+        self._ways, self._too_fast, self._speeds_m_s = 0, 0, list[float]()
 
     def out_of_reach(self, xyz: Vector, here: Bools) -> Bools:
         """Return a mask of positions, shape (3, N), out of reach; all False if most are, because then the unit differs.
@@ -97,6 +103,7 @@ class Places:
         if len(seen) < len(times):
             t, p = times[seen], xyz[:, seen]
         p = _without_nan(p)
+        self._judge_speed(t, p)
         steps = np.diff(t)
         if self._usual_s is None and (steps > 0).any():
             self._usual_s = float(np.median(steps[steps > 0]))
@@ -108,6 +115,20 @@ class Places:
             bad[seen[1:-1][jump[:-1] & jump[1:] & across]] = True
         kept = ~bad[seen]
         return bad, int((self._cannot(t[kept], p[:, kept]) & here[seen][kept][1:]).sum())
+
+    def _judge_speed(self, t: Vector, p: Vector) -> None:
+        """Record the speeds between rows so far apart that most ways are motion, no noise; none of what stands."""
+        t, p = (t, p) if len(t) < _THINNED * STILL_ROWS else (t[::_THINNED], p[:, ::_THINNED])
+        while len(t) > STILL_ROWS // 4:
+            way, took = _length(np.diff(p)), np.diff(t)
+            moved = (way > self.kind.slack_m) & (took > 0.0)
+            if moved.mean() > 0.5:
+                speeds = way[moved] / took[moved]
+                self._ways += len(speeds)
+                self._too_fast += int((speeds > self.kind.speed_m_s).sum())
+                self._speeds_m_s.append(float(np.median(speeds)))
+                return
+            t, p = t[::2], p[:, ::2]
 
     def _cannot(self, t: Vector, p: Vector, apart: int = 1) -> Bools:
         """Return for each row whether the distance to the row `apart` rows later is impossible in that time."""
@@ -137,6 +158,11 @@ class Places:
             found.append(
                 f"{kind.whose} is {fixed(self._far_m, 0)} m away in {self._far_rows} rows: probably millimetres; "
                 'set length_unit = "mm", or correct the unit in the export'
+            )
+        if self._too_fast > WRONG_UNIT * self._ways and not self._far_rows:
+            found.append(
+                f"{kind.whose} moves at {fixed(float(np.median(self._speeds_m_s)), 1)} m/s, which none does (at most "
+                f"{fixed(kind.speed_m_s, 0)}): probably another unit of time; give time_unit, or length_unit"
             )
         if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
             found.append(

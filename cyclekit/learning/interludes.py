@@ -44,9 +44,8 @@ def find_interludes(agent: str, executions: Iterable[Sequence[tuple[str, float, 
     for number, done in enumerate(every):
         for (before, _, _), (name, _, _) in pairwise(done):
             again[number, names.index(name)] += name == before
-    once = count - again
-    free = [name for at, name in enumerate(names) if _unexplained(once, at) > HALF]
-    if 2.0 * once[:, [names.index(name) for name in free]].sum() > once.sum():
+    free = [name for at, name in enumerate(names) if _unexplained(count, again, at) > HALF]
+    if 2.0 * count[:, [names.index(name) for name in free]].sum() > count.sum():
         free = []  # executions of any tasks: these are the work
     repeated = [name for at, name in enumerate(names) if again[:, at].any() and _more(count, again, at) >= HALF]
     found = [
@@ -90,18 +89,25 @@ def _visited(
     return InterludeCard(agent, name, tuple(after_s), visits, len(own_s), took_s)
 
 
-def _unexplained(count: Floats, at: int) -> float:
+def _unexplained(count: Floats, again: Floats, at: int) -> float:
     """Return the share of the variance of how often task `at` was done that the other tasks do not explain.
+
+    With or without its repetitions, whichever is explained better: two parts in a row look like one.
 
     Args:
         count: How often each task was done, shape (executions, tasks).
+        again: How often right after itself, likewise.
         at: Number of the task.
     """
-    others = np.column_stack([np.ones(len(count)), np.delete(count, at, axis=1)])
-    rest, free = _rest(others, count[:, at]), len(count) - int(np.linalg.matrix_rank(others))
-    if free < 1 or rest @ rest <= TINY:
-        return 0.0
-    return float(rest @ rest) / free / float(count[:, at].var(ddof=1))
+    others = [np.delete(each, at, axis=1) for each in (count, again)]
+    columns = np.column_stack([np.ones(len(count)), *others])
+    left = len(count) - int(np.linalg.matrix_rank(columns))
+    shares = []
+    for often in (count[:, at], count[:, at] - again[:, at]):
+        rest = _rest(columns, often)
+        known = left > 0 and rest @ rest > TINY
+        shares.append(float(rest @ rest) / left / float(often.var(ddof=1)) if known else 0.0)
+    return min(shares)
 
 
 def _more(count: Floats, again: Floats, at: int) -> float:

@@ -46,6 +46,7 @@ def test_what_an_interlude_saves_on_the_next_way_is_subtracted() -> None:
     [
         ("afbf", "afaf", "bf", "af", "bfbfaf", "bfaf"),  # parts in any number: as many picked as placed
         ("ab", "c", "bcd", "ad", "d", "abcd", "bd", "ac"),  # any places: they are the work
+        ("cacbc", "accbc", "cccab", "baccc", "cbacc", "cabcc"),  # three of a task, some in a row
     ],
 )
 def test_work_of_any_length_has_no_interludes(orders: tuple[str, ...]) -> None:

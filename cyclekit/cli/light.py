@@ -15,11 +15,9 @@ if TYPE_CHECKING:
 
 def light(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
     """Return the traffic light of several estimates: a finding that does not concern all names its sequences."""
-    from cyclekit.estimate.finding import merged
+    from cyclekit.estimate.finding import holders, merged
 
-    names = {one: [each.name for each in found if one in each.findings] for each in found for one in each.findings}
-    every = len({each.name for each in found})
-    of = {one: "" if len(set(some)) == every else f"{', '.join(dict.fromkeys(some))}: " for one, some in names.items()}
+    of = holders((each.name, each.findings) for each in found)
     return light_of_findings(merged(each.findings for each in found), of, width=width)
 
 

@@ -72,6 +72,14 @@ def merged(several: Iterable[Sequence[Finding]]) -> tuple[Finding, ...]:
     return tuple(sorted(kept, key=lambda one: -LEVELS.index(one.level)))
 
 
+def holders(several: Iterable[tuple[str, Sequence[Finding]]]) -> dict[Finding, str]:
+    """Return what stands before each finding of several named answers: the names of those that have it, unless all."""
+    answers = list(several)
+    names = {one: dict.fromkeys(name for name, found in answers if one in found) for _, all_ in answers for one in all_}
+    every = len({name for name, _ in answers})
+    return {one: "" if len(some) == every else f"{', '.join(some)}: " for one, some in names.items()}
+
+
 def light_of(findings: Sequence[Finding]) -> dict[str, object]:
     """Return findings as the traffic light of an answer, plain JSON values: level, warnings and the findings."""
     return {

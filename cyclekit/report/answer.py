@@ -119,10 +119,10 @@ def _best(texts: ReportTexts, best: CycleEstimate, places: int) -> list[str]:
 
 
 def _warnings(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> list[str]:
-    """Return the limits of the sequences, each sentence once with the names of the sequences that it holds for."""
+    """Return the limits that are not in the light, each sentence once with the names of its sequences."""
     names: dict[str, list[str]] = {}
     for each in ranked:
-        for text in each.warnings:
+        for text in each.limits:
             names.setdefault(text, []).append(each.name)
     return [texts("answer.warning", name=", ".join(those), text=text) for text, those in names.items()]
 

@@ -78,7 +78,7 @@ class PageInputs:
     @cached_property
     def light(self) -> TrafficLight | None:
         """The traffic light above the numbers; None if nothing is known of their basis."""
-        return traffic_light(self.texts, [self.findings])
+        return traffic_light(self.texts, self.findings, [(one.name, one.findings) for one in self.ranked])
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:

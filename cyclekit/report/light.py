@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cyclekit.estimate.finding import merged, worst
+from cyclekit.estimate.finding import holders, merged, worst
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -40,14 +40,23 @@ class TrafficLight:
         return [self.title, *doubted, *([self.sound] if self.sound else [])]
 
 
-def traffic_light(texts: ReportTexts, several: Iterable[Sequence[Finding]]) -> TrafficLight | None:
-    """Return the light of several answers; None without any finding."""
-    every = merged(several)
+def traffic_light(
+    texts: ReportTexts, findings: Sequence[Finding], several: Iterable[tuple[str, Sequence[Finding]]] = ()
+) -> TrafficLight | None:
+    """Return the light of findings; None without any.
+
+    Args:
+        texts: Texts of the page.
+        findings: All of them.
+        several: Names and findings of the answers: a finding that does not concern all names those that it concerns.
+    """
+    every, of = merged([findings]), holders(several)
     if not every:
         return None
     names = {code: texts(f"light.{code}") for code in LAMPS}
-    doubted = [(one.level, names.get(one.code, one.code), one.shown) for one in every if one.level != "green"]
-    sound = ", ".join(names.get(one.code, one.code) for one in every if one.level == "green")
+    names |= {one.code: one.code.replace("-", " ").capitalize() for one in every if one.code not in names}
+    doubted = [(one.level, names[one.code], of.get(one, "") + one.shown) for one in every if one.level != "green"]
+    sound = ", ".join(names[one.code] for one in every if one.level == "green")
     level = worst(every)
     titles = {"green": texts("light.green"), "amber": texts("light.amber"), "red": texts("light.red")}
     return TrafficLight(level, titles[level], doubted, texts("light.sound", names=sound) if sound else "")

@@ -157,7 +157,7 @@ def compose_report(
     if ranked:  # a logged mean rests on no clock or pose
         sections["answer"]["headline"] = put_away(texts, page.light, sections["answer"]["headline"])
         if page.light is not None and page.light.level == "red":
-            sections["answer"]["tiles"] = []
+            sections["answer"] |= {"tiles": [], "sentences": sections["answer"]["beside"]}
         if mark := resting(texts, page.findings):
             for key in ("where", "helps"):
                 sections[key]["sentences"] = [mark, *sections[key]["sentences"]]

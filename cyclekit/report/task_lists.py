@@ -137,7 +137,7 @@ def report_tasks(
     said = [basis(texts, held)] if held else []
     beside = [text for each in verdicts for text in beside_tiles(texts, each)]
     basis_of = merged(one.findings for one in found)
-    light = traffic_light(texts, [basis_of])
+    light = traffic_light(texts, basis_of, [(one.name, one.findings) for one in found])
     headline = put_away(texts, light, headline)
     name, date = cell_name or dataset.card.name or dataset.path.name, dt.datetime.now(tz=dt.UTC).date().isoformat()
     executions = card.executions if card else len(dataset.executions)

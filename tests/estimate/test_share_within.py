@@ -7,12 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.estimate.statistics.distribution import CycleDistribution
+from cyclekit.estimate.statistics.distribution import CycleDistribution, wilson
 from cyclekit.estimate.statistics.resample import drawn_errors, interval_of_mean
 
 RNG = np.random.default_rng(4)
 CYCLES_S = RNG.normal(60.0, 1.0, 400)
 DRAWN = RNG.multinomial(40, np.full(400, 1 / 400), 300) / 40.0
+
+
+@pytest.mark.parametrize("count", [3, 10, 40, 60, 97])
+def test_the_interval_of_none_begins_at_none_and_that_of_all_ends_at_all(count: int) -> None:
+    assert wilson(0.0, count)[0] == 0.0
+    assert wilson(1.0, count)[1] == 1.0  # rounded, it was written "94 to over 99 %"
+    assert 0.0 < wilson(0.5, count)[0] < 0.5 < wilson(0.5, count)[1] < 1.0
 
 
 def test_the_interval_of_a_share_has_the_error_of_the_mean_in_each_resample() -> None:

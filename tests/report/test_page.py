@@ -19,6 +19,7 @@ from cyclekit.config.cells import NamedPlace
 from cyclekit.dataset.cards import note
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError
+from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.report import compose_report
 from cyclekit.report.pictures import Picture
@@ -225,6 +226,23 @@ def test_with_a_pose_that_is_only_assumed_the_light_is_red_and_nothing_is_said_o
     assert page.index("Red: these numbers") < page.index("Red, not to be trusted")
     assert "safety function acts on distance" not in page
     assert "zones or presence" not in page
+
+
+@pytest.mark.usefixtures("words_only")
+def test_the_light_names_the_sequences_of_a_finding_and_nothing_repeats_it(dataset, tmp_path):
+    far = Finding("support", "amber", "15 % of the cycle was never logged", "log this part of the cell")
+    two = Finding("several-people", "amber", "two are taken for one", covered=False)
+    asked = [
+        replace(estimate("A first", 30.0, limits=("Thin logs.",)), findings=(far, two)),
+        replace(estimate("B first", 33.0), findings=(two,)),
+    ]
+    facts = compose_report(with_pose(dataset), None, tmp_path / "r.html", estimates=asked)
+    page = Page(facts.path.read_text("utf-8")).text
+    assert page.count("15 % of the cycle was never logged") == 1
+    assert "Support A first: 15 % of the cycle was never logged: log this part" in page
+    assert page.count("two are taken for one") == 1
+    assert "Several people two are taken for one" in page
+    assert "A first: Thin logs." in page
 
 
 @pytest.mark.usefixtures("words_only")

@@ -109,4 +109,5 @@ def wilson(share: float, count: int, confidence: float = 0.95) -> tuple[float, f
     count, z = max(count, 1), float(ndtri(0.5 + confidence / 2.0))
     middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
     half = z * np.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2) / (1 + z**2 / count)
-    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+    low, high = max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+    return low if share > 0.0 else 0.0, high if share < 1.0 else 1.0  # exactly, whatever the rounding

@@ -15,6 +15,7 @@ from msgspec import structs
 
 from cyclekit.config import Source
 from cyclekit.errors import LogError
+from cyclekit.ingest.discover import key_of
 from cyclekit.ingest.read.read_log import read_or_error
 from cyclekit.text.numbers import compact
 
@@ -92,7 +93,7 @@ def prove_units(
             read = read_or_error(_with_unit(by_id[name], unit), digests, staging=staging, settings=settings)
             if isinstance(read, LogError):
                 raise read
-            card = read.card
+            card = structs.replace(read.card, key=card.key, facts=card.facts)  # the unit is none of the cell file
         cards[name] = structs.replace(card, time_units=(), facts=card.facts | {"time unit": why})
     return cards
 
@@ -103,7 +104,8 @@ def _kind(log: LogCard) -> int:
 
 def _with_unit(log: Log, unit: TimeUnit) -> Log:
     source = log.source or Source(log.shown, log.adapter)
-    return replace(log, source=replace(source, map={**source.map, "time_unit": unit.name}))
+    changed = replace(log, source=replace(source, map={**source.map, "time_unit": unit.name}))
+    return replace(changed, key=key_of(changed))
 
 
 def _proven(log: Log, card: LogCard, rows: int, other: LogCard | None) -> tuple[TimeUnit, str]:

@@ -55,6 +55,7 @@ def tasks(folder: Path, counts: list[str]) -> Path:
 def stored(folder: Path, out: Path, name: str) -> tuple[list[float], str]:
     dataset = Dataset.open(ingest(folder, out).place)
     (card,) = [card for card in dataset.recordings if card.shown == name]
+    assert not any("changed while it was read" in text for text in card.said)
     rows = dataset.recorded(card.id, card.tables[0])
     assert rows is not None
     return rows["t_s"].to_list(), card.facts["time unit"]

@@ -164,3 +164,24 @@ def test_times_of_day_of_several_days_out_of_order_are_refused(tmp_path: Path) -
     night(tmp_path / "tasks.csv", [3600.0 * hour for hour in range(20, 51, 6)])
     with pytest.raises(LogError, match="of several days"):
         cyclekit.ingest_logs(tmp_path / "tasks.csv", tmp_path / "d")
+
+
+@pytest.mark.parametrize("header", ["Date,Time,Signal,State", "Date Time,Signal,State"])
+def test_dates_with_the_year_or_the_day_first_are_not_guessed(tmp_path: Path, header: str) -> None:
+    mark = "," if "Date," in header else " "
+    start = datetime(2024, 5, 14, 6, 30, tzinfo=UTC)
+    rows = [f"{start + timedelta(seconds=7 * k):%y/%m/%d{mark}%H:%M:%S},door,{k % 2}" for k in range(40)]
+    (tmp_path / "plc.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    with pytest.raises(LogError, match=r"%d/%m/%y %H:%M:%S%\.f or as %y/%m/%d"):
+        cyclekit.ingest_logs(tmp_path / "plc.csv", tmp_path / "d")
+
+
+@pytest.mark.parametrize(("zero_days", "unit_s"), [(15_018, 86_400.0), (0, 1.0)])
+def test_dates_after_the_file_was_written_are_no_dates(tmp_path: Path, zero_days: int, unit_s: float) -> None:
+    """Modified Julian days look like days of a spreadsheet in 2065, seconds since 1900 like those of 1904 in 2028."""
+    count = (datetime(2024, 5, 14, tzinfo=UTC) - SPREADSHEET) / timedelta(seconds=unit_s) + zero_days
+    rows = [f"{count + t / unit_s:.9f},{99 * np.cos(t):.3f},{99 * np.sin(t):.3f}" for t in T_S]
+    (tmp_path / "robot.csv").write_text("\n".join(["stamp,x [mm],y [mm]", *rows, ""]), encoding="utf-8")
+    draft = cyclekit.draft_cell(tmp_path / "robot.csv")
+    assert draft.unsure
+    assert "its dates would be after the file's own" in draft.cell

@@ -157,9 +157,9 @@ def _times(names: Sequence[str], head: _Head) -> TimeColumn | None:
     """Return the best time column: a date with its time, then a count of known unit, then any other."""
     dates = [name for name in names if head.stems[name] in _DATES]
     clocks = [name for name in names if head.stems[name] in TIME_NAMES]
-    found = [times for name in (*clocks, *dates) if (times := _times_of((name,), head))]
     if dates and clocks and (both := _times_of((dates[0], clocks[0]), head)):
-        found.insert(0, both)
+        return both
+    found = [times for name in (*clocks, *dates) if (times := _times_of((name,), head))]
     return min(found, key=lambda times: (not times.pattern, not times.known), default=None)
 
 

@@ -64,7 +64,8 @@ _TWO_TIMES = 0.02
 """Maximum relative difference of two times of one row; units differ by 60 or more, the drift of clocks is below 1 %."""
 _TICKS = {"10 ns", "100 ns", "10 us", "1/100 s", "1/10 s", "filetime", "ticks"}
 """Units of which only whole numbers are counted."""
-_NO_DATE = "no date of 2000 to 2099"
+_NO_DATE, _NO_GPS = "no date of 2000 to 2099", "the name says nothing of GPS"
+_FRACTIONS = "it has fractions"
 _WINCC = re.compile(r"time_?ms", re.IGNORECASE)
 
 
@@ -159,7 +160,7 @@ def prove(values: Vector, evidence: TimeEvidence) -> Proof:
     if named is not None and named.name not in {*COUNTED, *DATED}:
         candidates.append(named)
     rules: list[Exclude] = [
-        lambda unit: "it has fractions" if unit.name in _TICKS and (values[known] % 1 != 0).any() else None,
+        lambda unit: _FRACTIONS if unit.name in _TICKS and (values[known] % 1 != 0).any() else None,
         lambda unit: _no_date(unit, middle, values[known], named),
         lambda unit: _no_interval(unit, step, evidence),
         lambda unit: None if unit.seconds == getattr(named, "seconds", None) else no_duration(unit, evidence.lasts),
@@ -174,7 +175,9 @@ def prove(values: Vector, evidence: TimeEvidence) -> Proof:
             left.append(unit)
         else:
             excluded.setdefault(_key(unit), reason)
-    left = _before(left, middle, evidence.before_s)
+    left, late = _before(left, middle, evidence.before_s)
+    if late:
+        excluded |= dict.fromkeys(map(_key, late), "its dates would be after the file's own")
     if named is not None:
         return _by_name(named, left, excluded, evidence, step)
     dated = [unit for unit in left if unit.zero_s is not None]
@@ -206,18 +209,18 @@ def _is_date(number: float, unit: Unit) -> bool:
     return EARLIEST_S <= _when(number, unit) <= LATEST_S
 
 
-def _before(left: list[Unit], middle: float, before_s: float | None) -> list[Unit]:
-    """Return the units without dates after the file's own, if others are left."""
+def _before(left: list[Unit], middle: float, before_s: float | None) -> tuple[list[Unit], list[Unit]]:
+    """Return the units without dates after the file's own, and the others."""
     if before_s is None:
-        return left
+        return left, []
     late = [unit for unit in left if unit.zero_s is not None and _when(middle, unit) > before_s + 86_400.0]
-    return [unit for unit in left if unit not in late] or left
+    return [unit for unit in left if unit not in late], late
 
 
 def _no_date(unit: Unit, middle: float, values: Vector, named: Unit | None) -> str | None:
     if unit.zero_s is not None:
         if unit.name == "gps" and (named is None or named.name != "gps"):
-            return "the name says nothing of GPS"
+            return _NO_GPS
         return None if _is_date(middle, unit) else _NO_DATE
     if unit.name == FRAME:
         return None
@@ -339,9 +342,10 @@ def _by_name(named: Unit, left: list[Unit], excluded: dict[str, str], evidence: 
 
 def _contradicted(excluded: dict[str, str], evidence: TimeEvidence) -> str:
     """Return why no unit is left: what those of dates, or else those of counts, would mean."""
-    dates = [key for key in excluded if key.endswith("since 1970") and excluded[key] != _NO_DATE]
+    dated = [_key(unit) for unit in _dates()]
+    dates = [key for key in dated if excluded.get(key, _NO_DATE) not in (_NO_DATE, _NO_GPS, _FRACTIONS)]
     most = "; ".join(f"{name}: {excluded[name]}" for name in dates or ("ms", "s", "min") if name in excluded)
-    mixed = ": rows of several robots or people in one table?" if dates and evidence.path is not None else ""
+    mixed = ": rows of several robots or people in one table?" if "move at" in most or "turn at" in most else ""
     return f"no unit of time fits it ({most}){mixed}"
 
 

@@ -22,7 +22,7 @@ _FIRST_YEAR = 1900
 _CLOCKS = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
 _DATES = (
     *("%d.%m.%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%y", "%m/%d/%y", "%d/%m/%y"),
-    *("%d-%b-%Y", "%d %b %Y", "%b %d %Y"),
+    *("%y/%m/%d", "%d-%b-%Y", "%d %b %Y", "%b %d %Y"),
 )
 _FORMS = (
     *("iso", "%Y-%m-%d %H:%M", "%Y-%m-%d %I:%M:%S%.f %p"),

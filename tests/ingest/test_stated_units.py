@@ -79,3 +79,40 @@ def test_a_stated_unit_of_events_that_a_second_time_contradicts_is_refused(
     with pytest.raises(LogError, match=r"TimeString runs 0\.001 times as fast") as refusal:
         cyclekit.inspect_logs(logs)
     assert 'It fits "ms"' in str(refusal.value)
+
+
+TICKS = [133_600_000_000_000_000 + 100_000 * k for k in range(30)]
+NO_ROW = {
+    "robot": ("robot.csv", "t,x,y,z", "{0},{1},0,0.3", 'role = "robot"', 'time = "t"\nx = "x"\ny = "y"\nz = "z"'),
+    "people": ("people.csv", "t,x,y", "{0},{1},0", 'role = "people"', 'time = "t"\nx = "x"\ny = "y"'),
+    "events": ("plc.csv", "t,signal,value", "{0},door,{1}", "", ""),
+    "safety": ("speed_override.csv", "time,override", "{0},{1}", "", ""),
+    "tasks": ("tasks.csv", "agent,task,start,end", "robot,t{1},{0},{0}", "", ""),
+}
+
+
+@pytest.mark.parametrize("kind", NO_ROW)
+def test_a_log_whose_rows_are_all_set_aside_says_why_and_is_not_called_empty(tmp_path: Path, kind: str) -> None:
+    file, header, row, role, columns = NO_ROW[kind]
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    rows = [row.format(tick, k) for k, tick in enumerate(TICKS)]
+    (logs / file).write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    adapter = f'adapter = "csv"\n{role}' if role else ""
+    cell = f'[[sources]]\npath = "{file}"\n{adapter}\n[sources.map]\ntime_unit = "s"\n{columns}\n'
+    (logs / "cell.toml").write_text(cell, encoding="utf-8")
+    with pytest.raises(LogError, match=r"none of its 30 rows can be used; the first \(line 2\): its time is not"):
+        cyclekit.ingest_logs(logs, tmp_path / "d")
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("frame,x,y,z", "'frame' counts rows"),
+        ("tcp_x,tcp_y,tcp_z,force", "'tcp_x' rises in every row, but is no time by its name"),
+    ],
+)
+def test_a_table_with_a_column_that_rises_is_not_said_to_have_no_time(tmp_path: Path, header: str, said: str) -> None:
+    rows = [f"{k},{np.sin(k):.3f},0.5,0.25" for k in range(50)]
+    (tmp_path / "robot.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    assert said in cyclekit.draft_cell(tmp_path / "robot.csv").cell

@@ -18,7 +18,7 @@ from cyclekit.text.numbers import given
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS
 from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
 from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, name_of
-from cyclekit_adapters.mapped.draft_times import counts_rows, found_times
+from cyclekit_adapters.mapped.draft_times import counts_rows, found_times, rises
 from cyclekit_adapters.times.proof import TimeEvidence
 
 if TYPE_CHECKING:
@@ -122,7 +122,12 @@ def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _
         counter = counts_rows(table, names)
         if counter is not None:
             lines.add({"time": counter, "time_unit": "frame"}, "it counts rows")
-        lines.source.append(Proposal("rate_hz", 100.0, "the table has no time: rows a second, as logged", sure=False))
+        rising = next((name for name, values in table.numbers.items() if rises(values)), None)
+        why = (
+            "the table has no time" if rising is None else f"{rising!r} rises in every row, but is no time by its name"
+        )
+        why = f"{counter!r} counts rows" if counter is not None else why
+        lines.source.append(Proposal("rate_hz", 100.0, f"{why}: rows a second, as logged", sure=False))
         return
     keys, sure, notes = times[0].keys()
     lines.add(keys, times[0].comment, sure=sure)

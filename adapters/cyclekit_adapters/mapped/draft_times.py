@@ -92,7 +92,7 @@ def found_times(table: DraftTable, names: Mapping[str, Name], motion: TimeEviden
     split = _split(table, names)
     taken = {column for time in (*split, *written) for column in time.columns}
     counts = [name for name in names.values() if name.column not in taken and name.column in table.numbers]
-    counts = [name for name in counts if _rises(table.numbers[name.column])]
+    counts = [name for name in counts if rises(table.numbers[name.column])]
     timed = [name for name in counts if _is_time(name)]
     found = [*written, *split]
     for name in sorted(timed, key=lambda name: _unit_of(table, name) is None):
@@ -115,7 +115,7 @@ def counts_rows(table: DraftTable, names: Mapping[str, Name]) -> str | None:
     """Return a column that counts frames; None if there is none."""
     for column, values in table.numbers.items():
         name = names[column]
-        if (name.says(COUNTS) or "unnamed" in name.words) and _rises(values) and (values % 1 == 0).all():
+        if (name.says(COUNTS) or "unnamed" in name.words) and rises(values) and (values % 1 == 0).all():
             return column
     return None
 
@@ -147,7 +147,7 @@ def _split(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
             seconds, rest = table.numbers[whole.column], table.numbers[part.column]
             unit = COUNTED[str(part.unit)]
             within = bool((rest >= 0).all() and (rest * unit.seconds < 1.0).all() and (seconds % 1 == 0).all())
-            if within and _rises(seconds + rest * unit.seconds):
+            if within and rises(seconds + rest * unit.seconds):
                 dated = EARLIEST_S <= float(np.median(seconds)) <= LATEST_S
                 first = COUNTED["s"].since_1970() if dated else COUNTED["s"]
                 found.append(FoundTime((whole.column, part.column), (first, unit), why="seconds and their parts"))
@@ -161,7 +161,7 @@ def _counted(table: DraftTable, name: Name, motion: TimeEvidence) -> FoundTime:
     return FoundTime((name.column,), proof.left, why=proof.contradiction or proof.why, sure=not proof.contradiction)
 
 
-def _rises(values: Vector) -> bool:
+def rises(values: Vector) -> bool:
     """Return whether numbers rise and almost never fall (below 1 % of steps, for restarts)."""
     known = values[np.isfinite(values)]
     steps = np.diff(known)

@@ -207,8 +207,9 @@ def _check(
             log.path, "holds neither robot, people, events, tasks nor an override", cure="Check what was recorded."
         )
     if not any(written[name].writer.rows for name in schema.MAIN if name in written):
-        if aside is None:
+        if not rows_read:
             raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
+        aside = aside or (None, "it holds no value that is read")
         where = "" if aside[0] is None or last is None else f" ({last.rows_are} {aside[0]})"
         cause = f"none of its {rows_read} rows can be used; the first{where}: {aside[1]}"
         raise LogError(log.path, cause, cure="Check what its columns are, and their units (docs/adapters.md).")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from cyclekit.schema import Bools, Vector
+    from cyclekit.schema import Bools, Ints, Vector
 
 
 def as_whole(lasted: Vector, cut: Bools) -> Vector:
@@ -23,11 +23,14 @@ def as_whole(lasted: Vector, cut: Bools) -> Vector:
         cut: Which are cut, shape (N,). The longest counts as whole in any case (Efron, Proceedings of the Fifth
             Berkeley Symposium 4, 1967).
     """
-    if not cut.any():
-        return np.sort(lasted)
+    return np.asarray(lasted[whole_rows(lasted, cut)])
+
+
+def whole_rows(lasted: Vector, cut: Bools) -> Ints:
+    """Return the rows of `as_whole`, shape (N,): for a cut duration those of whole ones that lasted longer."""
     order = np.lexsort((cut, lasted))
     left = 1.0 - ~cut[order] / np.arange(len(order), 0, -1)
     left[-1:] = 0.0
     ended = 1.0 - np.cumprod(left)
     levels = (np.arange(len(order)) + 0.5) / len(order)
-    return np.asarray(lasted[order][np.searchsorted(ended, levels)])
+    return np.asarray(order[np.searchsorted(ended, levels)])

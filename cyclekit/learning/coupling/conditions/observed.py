@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.learning.censored import as_whole
+from cyclekit.learning.censored import whole_rows
 from cyclekit.learning.coupling.conditions.candidates import HELD
 from cyclekit.learning.coupling.conditions.conditions import KEPT, decided_by
 from cyclekit.learning.coupling.conditions.lags import quantiles, reverse_kaplan_meier
@@ -64,19 +64,21 @@ def lag_of(found: Departures, condition: Condition, seen_s: Vector, gate: Gate |
 
 
 def own_work(found: Departures, stays_s: Vector, decided: Bools) -> tuple[float, ...]:
-    """Return the quantiles of own work that decided some departures; where it alone does, also of stays that are cut.
+    """Return the quantiles of own work that decided some departures; stays that are cut lasted at least so long.
 
     Args:
         found: The departures.
         stays_s: Duration of the stay before each of them, or some, shape (N,), s; NaN does not count.
         decided: Whether own work decided it, shape (N,).
     """
-    if found.since_s or not len(found.stayed_s):
+    if not len(found.stayed_s):
         return distribution(stays_s, decided.astype(np.float64))
-    stays_s = stays_s[np.isfinite(stays_s)]
-    cut = np.repeat([False, True], [len(stays_s), len(found.stayed_s)])
-    whole_s = as_whole(np.append(stays_s, found.stayed_s), cut)
-    return distribution(whole_s, np.ones(len(whole_s)))
+    known, alone = np.isfinite(stays_s), not found.since_s
+    cut = np.repeat([False, True], [int(known.sum()), len(found.stayed_s)])
+    stays_s = np.append(stays_s[known], found.stayed_s)
+    rows = whole_rows(stays_s, cut)
+    ends = np.append(decided[known] | alone, np.full(len(found.stayed_s), alone))  # the longest may be a wait, too
+    return distribution(stays_s[rows], ends[rows].astype(np.float64))
 
 
 def distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:

@@ -151,7 +151,7 @@ def judged(pair: Pair, made: Path, folder: Path, align: str, late_s: float, drif
     if not pair.stated and not late_s:  # a common start that is right
         true_s, log_s, xyz_m = (rows[true_s >= 0.0] for rows in (true_s, log_s, xyz_m))
     for number, rows in enumerate(np.array_split(np.arange(len(log_s)), pair.files)):
-        table = pl.DataFrame({"t": log_s[rows], **dict(zip("xyz", xyz_m[rows].T, strict=True))}).drop_nans()
+        table = pl.DataFrame({"t": log_s[rows], **dict(zip("xyz", xyz_m[rows].T, strict=True))}).fill_nan(None)
         table.write_csv(logs / f"people_{number}.csv", float_precision=4)
     ingest([logs], folder / "d", cell=cell_of(made, pair), **({"align_clocks": align} if align else {}))
     errors, said, sure, aligned_s = [], [], [], 0.0

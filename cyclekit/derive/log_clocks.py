@@ -1,7 +1,9 @@
 """Clocks tested by the logs: the place of anybody tells the robot's level of speed, but only at the true lag.
 
 The clock of every tracker is tested, assumed or stated. An assumed one is aligned if the logs leave no doubt; a stated
-one is contradicted, and aligned on request. Logs that share one offset are tested together.
+one is contradicted, and aligned on request. Logs that share one offset are tested together. So are the clocks of traces
+and events: the states of their signals tell the robot's speed, motion and own signals. Those that are wrong are named,
+not aligned: places and executions rest on their signals already.
 """
 
 from __future__ import annotations
@@ -15,13 +17,28 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.alignment.clocks import ASSUMED, ClockFit
-from cyclekit.alignment.clocks.explained import STEP_S, FoundLag, Instants, cells_of, find_lag, numbered
-from cyclekit.alignment.clocks.response_lag import FINE_S, PlacesAndLevel, RefinedLag, refine_lag
+from cyclekit.alignment.clocks.explained import CELL_M, STEP_S, FoundLag, Instants, cells_of, find_lag, numbered
+from cyclekit.alignment.clocks.response_lag import (
+    FINE_CELL_M,
+    FINE_S,
+    PlacesAndLevel,
+    RefinedLag,
+    refine_lag,
+    refine_states,
+)
 from cyclekit.alignment.recording_clocks import of_one_kind
 from cyclekit.dataset.cards import ClockTest, note
+from cyclekit.dataset.signals import REGISTER
+from cyclekit.derive.clock_grids import (
+    MAX_PEOPLE,
+    motion_of,
+    on_grid,
+    signals_of,
+    states_of,
+    where_people_are,
+    with_equal_rows,
+)
 from cyclekit.people.activity import person_tracks
-from cyclekit.people.tracks import at_times
-from cyclekit.segmentation.stored_run import pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,34 +46,38 @@ if TYPE_CHECKING:
     from cyclekit.config import Source
     from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.sessions import Session
-    from cyclekit.dataset.signals import Read
+    from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.over_sessions import Passes
-    from cyclekit.people.tracks import PersonTrack
-    from cyclekit.schema import Floats, Ints, Points, Vector
     from cyclekit.segmentation.stored_run import Run
 
-MAX_PEOPLE = 8
-"""Maximum number of people at once: a crowd tells nothing."""
-BRIDGE_S = 0.3
-"""Maximum gap in a track that is bridged, s."""
 REACTION_S = (-0.3, 0.8)
 """A lag between these may be the reaction time of the safety function (0.5 s in UR's reduced mode, and a scanner's),
 and contradicts no clock, s."""
 GRIDS = ((0.0, 0.0), (0.25, 0.5), (0.5, 0.25), (0.75, 0.75))
 """By how many widths of a cell the grids of the refinement are moved along the axes of the floor: a lattice."""
-NOBODY = 1 << 60
-"""Label of an instant at which nobody is seen."""
+
+
+class _Part(NamedTuple):
+    """What one session has of a clock: logs, the runs of its robot, and the robot's log."""
+
+    logs: tuple[RecordingCard, ...]
+    runs: tuple[Run, ...]
+    robot: RecordingCard
 
 
 @dataclass(frozen=True)
 class _SameClock:
-    """Logs of people that share one unknown offset: those of each session, with the runs of its robot."""
+    """Logs of people, or of signals, that share one unknown offset."""
 
-    sessions: tuple[tuple[tuple[RecordingCard, ...], tuple[Run, ...]], ...]
+    sessions: tuple[_Part, ...]
 
     @property
     def logs(self) -> list[RecordingCard]:
-        return [log for logs, _ in self.sessions for log in logs]
+        return [log for part in self.sessions for log in part.logs]
+
+    @property
+    def of_people(self) -> bool:
+        return "people" in self.logs[0].tables
 
 
 class _Tested(NamedTuple):
@@ -70,9 +91,15 @@ class _Tested(NamedTuple):
         return self.found.lag_s if self.refined is None else self.refined.lag_s
 
     @property
+    def error_s(self) -> float:
+        """Maximum error of the lag, s."""
+        return STEP_S if self.refined is None else self.refined.bound_s
+
+    @property
     def contradicts(self) -> bool:
-        """Whether the clock is wrong for certain."""
-        return self.found.certain and not REACTION_S[0] <= self.lag_s <= REACTION_S[1]
+        """Whether the clock is wrong for certain: no reaction time lies within the error of the lag."""
+        apart_s = max(REACTION_S[0] - self.lag_s, self.lag_s - REACTION_S[1])
+        return self.found.certain and apart_s > self.error_s
 
 
 def with_tested_clocks(
@@ -81,10 +108,11 @@ def with_tested_clocks(
     runs: Sequence[Run],
     sources: Mapping[str, Source | None],
     read: Read,
+    stored: Stored,
     *,
     asked: bool,
 ) -> list[Session]:
-    """Return the sessions, their trackers' clocks tested by the logs, and those that are wrong aligned or named.
+    """Return the sessions, their clocks tested by the logs, and those that are wrong aligned or named.
 
     Args:
         passes: Runs the work on the sessions.
@@ -92,9 +120,10 @@ def with_tested_clocks(
         runs: All runs of the robot, with logged or inferred scaling.
         sources: Section of the cell file for each recording, by id.
         read: Returns a native table of a recording (id, table).
+        stored: Opens the robot table of a recording (id, columns).
         asked: Use the lag of every assumed clock, certain or not, and of stated clocks that the logs contradict.
     """
-    test = partial(_tested, sources=sources, read=read, asked=asked)
+    test = partial(_tested, sources=sources, read=read, stored=stored)
     groups = _groups(sessions, runs, sources)
     tested = passes.over(test, groups, "speed", "clocks") if groups else []
     together = _assumed_together(groups, tested, sources)
@@ -128,24 +157,25 @@ def _in_other_parts(sessions: Sequence[Session], fits: Mapping[str, ClockFit]) -
 
 
 def _groups(sessions: Sequence[Session], runs: Sequence[Run], sources: Mapping[str, Source | None]) -> list[_SameClock]:
-    """Return the logs of people to test: stated clocks by source, assumed ones by session and clock."""
-    stated: dict[tuple[str, ...], list[tuple[tuple[RecordingCard, ...], tuple[Run, ...]]]] = {}
+    """Return the logs of people and signals to test: stated clocks by source, assumed ones by session and clock."""
+    stated: dict[tuple[str, ...], list[_Part]] = {}
     alone: list[_SameClock] = []
     for session in sessions:
         mine = tuple(runs[number] for number in session.runs)
         kinds: dict[tuple[str, ...], list[RecordingCard]] = {}
         for log in session.recordings:
             known = log.clock.method in ("own", "same-log") or log.clock.same_as is not None
-            if mine and "people" in log.tables and not known:
+            if mine and not known and not {"people", "events"}.isdisjoint(log.tables):
                 kinds.setdefault((log.clock.method, *of_one_kind(log, sources)), []).append(log)
+        robot = next((log for log in session.recordings if log.clock.method == "own"), session.recordings[0])
         for kind, logs in kinds.items():
             spans = sorted(log.span_s for log in logs)
             if kind[0] != ASSUMED:
-                stated.setdefault(kind, []).append((tuple(logs), mine))
+                stated.setdefault(kind, []).append(_Part(tuple(logs), mine, robot))
             elif all(before[1] <= after[0] for before, after in pairwise(spans)):
-                alone.append(_SameClock(((tuple(logs), mine),)))
+                alone.append(_SameClock((_Part(tuple(logs), mine, robot),)))
             else:
-                alone += [_SameClock((((log,), mine),)) for log in logs]
+                alone += [_SameClock((_Part((log,), mine, robot),)) for log in logs]
     return [*(_SameClock(tuple(parts)) for parts in stated.values()), *alone]
 
 
@@ -160,121 +190,89 @@ def _assumed_together(
     return [_SameClock(tuple(part for one in some for part in one.sessions)) for some in left.values() if len(some) > 1]
 
 
-def _tested(group: _SameClock, *, sources: Mapping[str, Source | None], read: Read, asked: bool) -> _Tested | None:
+def _tested(group: _SameClock, *, sources: Mapping[str, Source | None], read: Read, stored: Stored) -> _Tested | None:
     """Return what the logs say about a clock; None if they say nothing."""
+    return _by_people(group, sources, read) if group.of_people else _by_signals(group, read, stored)
+
+
+def _by_signals(group: _SameClock, read: Read, stored: Stored) -> _Tested | None:
+    """Return what the states of signals say about their clock."""
+    parts = []
+    for logs, runs, robot in group.sessions:
+        told = [(log.span_s, signals_of(log, read, stored)) for log in logs]
+        t_s, tcp_m, level = motion_of(runs)
+        if len(t_s) > 1:
+            parts.append((told, t_s, tcp_m, level, signals_of(robot, read, stored)))
+    values = {
+        (name, value) for told, *_ in parts for _, mine in told for name, one in mine.items() for value in one.value
+    }
+    codes = {pair: number for number, pair in enumerate(sorted(values))}
+    own = sorted({name for *_, mine in parts for name in mine if name != REGISTER})
+
+    def instants(step_s: float) -> list[Instants]:
+        made = []
+        for told, t_s, tcp_m, level, mine in parts:
+            label, label_at = states_of(told, codes, step_s)
+            way_m, apart_s = np.linalg.norm(np.gradient(tcp_m, axis=0), axis=1), np.gradient(t_s)
+            speed = np.divide(way_m, apart_s, out=np.full(len(t_s), np.nan), where=apart_s > 0.0)
+            bits = [mine[name].at(t_s) == "1" if name in mine else np.full(len(t_s), np.nan) for name in own]
+            robot, robot_at = on_grid(t_s, np.column_stack([level, speed, *bits]), step_s)
+            made.append(Instants(label, label_at, robot.T, robot_at))
+        return made
+
+    if not codes or (found := find_lag(instants(STEP_S))) is None:
+        return None
+    return _Tested(found, refine_states(instants(FINE_S), found.lag_s))
+
+
+def _by_people(group: _SameClock, sources: Mapping[str, Source | None], read: Read) -> _Tested | None:
+    """Return what the place of people says about their clock."""
     seen, coarse = [], []
-    for logs, runs in group.sessions:
-        tracks, (t_s, tcp_m, level) = person_tracks(logs, sources, read), _motion(runs)
+    for logs, runs, _ in group.sessions:
+        tracks, (t_s, tcp_m, level) = person_tracks(logs, sources, read), motion_of(runs)
         if not tracks or len(t_s) < 2:
             continue
         seen.append((tracks, [log.span_s for log in logs], t_s, tcp_m, level))
-        label, label_at = _where_people_are(*seen[-1][:2], STEP_S)
-        robot, robot_at = _on_grid(t_s, level[:, None], STEP_S)
+        label, label_at = where_people_are(*seen[-1][:2], STEP_S, CELL_M)
+        robot, robot_at = on_grid(t_s, level[:, None], STEP_S)
         coarse.append(Instants(label, label_at, robot.T, robot_at))
-    if not coarse or any(len(one.label) > MAX_PEOPLE for one in coarse) or (found := find_lag(_equal(coarse))) is None:
+    if not coarse or any(len(one.label) > MAX_PEOPLE for one in coarse):
         return None
-    robots = [_on_grid(t_s, np.column_stack([tcp_m[:, :2], level]), FINE_S) for _, _, t_s, tcp_m, level in seen]
+    if (found := find_lag(with_equal_rows(coarse))) is None:
+        return None
+    robots = [on_grid(t_s, np.column_stack([tcp_m[:, :2], level]), FINE_S) for _, _, t_s, tcp_m, level in seen]
 
     def in_cells(moved: tuple[float, float]) -> list[PlacesAndLevel]:
-        people = [_where_people_are(*one[:2], FINE_S, moved) for one in seen]
-        labels = numbered([*(label for label, _ in people), *(cells_of(rows[:, :2], moved) for rows, _ in robots)])
+        people = [where_people_are(*one[:2], FINE_S, FINE_CELL_M, moved) for one in seen]
+        places = [cells_of(rows[:, :2], FINE_CELL_M, moved) for rows, _ in robots]
+        labels = numbered([*(label for label, _ in people), *places])
         return [
             PlacesAndLevel(labels[number], people[number][1], labels[len(people) + number], rows[:, 2], at)
             for number, (rows, at) in enumerate(robots)
         ]
 
-    first = [in_cells(GRIDS[0])]
-    tested = _Tested(found, refine_lag(first, found.lag_s))
-    if tested.refined is None or not (asked or tested.contradicts):
-        return tested  # the clock stays as it is
-    return _Tested(found, refine_lag([*first, *map(in_cells, GRIDS[1:])], found.lag_s))
-
-
-def _equal(sessions: Sequence[Instants]) -> list[Instants]:
-    """Return the sessions with one number of rows of people."""
-    most = max(len(one.label) for one in sessions)
-    return [
-        one._replace(label=np.pad(one.label, ((0, most - len(one.label)), (0, 0)), constant_values=-1))
-        for one in sessions
-    ]
-
-
-def _where_people_are(
-    tracks: Sequence[PersonTrack],
-    spans_s: Sequence[tuple[float, float]],
-    step_s: float,
-    moved: tuple[float, float] = (0.0, 0.0),
-) -> tuple[Ints, int]:
-    """Return the cells of people at each instant (K, N), NOBODY where nobody is seen, and the first instant's number.
-
-    Outside of the logs nothing is known.
-    """
-    first, last = min(span[0] for span in spans_s), max(span[1] for span in spans_s)
-    begin = int(np.ceil(first / step_s))
-    at_s: Vector = np.arange(begin, int(last / step_s) + 1).astype(np.float64) * step_s
-    label = np.array([cells_of(one[:, :2], moved) for one in people_at_once(tracks, at_s)] or [np.full(len(at_s), -1)])
-    logged = np.any([(at_s >= span[0]) & (at_s <= span[1]) for span in spans_s], axis=0)
-    label[0] = np.where(logged & (label < 0).all(axis=0), NOBODY, label[0])
-    return label, begin
-
-
-def people_at_once(tracks: Sequence[PersonTrack], at_s: Vector) -> list[Points]:
-    """Return where people are at each time, (N, 3) each, m: as many as are there at once; the same one may change."""
-    found: list[Points] = []
-    until: list[int] = []
-    for track in sorted((one for one in tracks if len(one.t_s)), key=lambda track: float(track.t_s[0])):
-        ends_s = track.t_s[[0, -1]] + np.array([-BRIDGE_S, BRIDGE_S])
-        first, last = np.searchsorted(at_s, ends_s).tolist()
-        number = next((n for n, end in enumerate(until) if end <= first), len(found))
-        if number == len(found):
-            found.append(np.full((len(at_s), 3), np.nan))
-            until.append(0)
-        found[number][first:last] = at_times(track, at_s[first:last], bridge_s=BRIDGE_S)
-        until[number] = last
-        if len(found) > MAX_PEOPLE:
-            break
-    return found
-
-
-def _motion(runs: Sequence[Run]) -> tuple[Vector, Points, Vector]:
-    """Return time (T,), TCP (T, 3) and scaling (T,) of rows about 0.02 s apart."""
-    times: list[Vector] = [np.empty(0)]
-    tcp: list[Points] = [np.empty((0, 3))]
-    scaling: list[Vector] = [np.empty(0)]
-    for period_s, part in ((run.period_s, part) for run in runs for _, part in pieces(run)):
-        some = slice(None, None, max(1, round(0.4 * FINE_S / period_s)))
-        times.append(part.t_s[some])
-        tcp.append(part.xyz_m[some])
-        scaling.append(np.asarray(part.scaling[some], float))
-    return np.concatenate(times), np.concatenate(tcp), np.concatenate(scaling)
-
-
-def _on_grid(t_s: Vector, rows: Floats, step_s: float) -> tuple[Floats, int]:
-    """Return the nearest rows (N, C) at the instants of a grid, NaN where none is near, and the first instant's number.
-
-    The row before an instant would make the level late by half of the time between rows.
-    """
-    begin, period_s = int(np.ceil(t_s[0] / step_s)), float(np.median(np.diff(t_s)))
-    at_s = np.arange(begin, int(t_s[-1] / step_s) + 1) * step_s
-    nearest = np.searchsorted(t_s, at_s + period_s / 2.0, side="right") - 1
-    near = at_s - t_s[nearest] <= max(0.1, 2.0 * period_s)
-    return np.where(near[:, None], rows[nearest], np.nan), begin
+    return _Tested(found, refine_lag([in_cells(moved) for moved in GRIDS], found.lag_s))
 
 
 def _fit(log: RecordingCard, tested: _Tested | None, began_s: float, *, asked: bool) -> ClockFit:
     """Return the clock of a log, with what the logs say about it; the robot's time begins at `began_s`."""
     clock, assumed = ClockFit.of(log.clock), log.clock.method == ASSUMED
+    of_people = "people" in log.tables
+    if tested is None or not (of_people or tested.found.certain):
+        clock = _warned(clock, "clock-not-by-logs") if asked and assumed else clock
     if tested is None:
-        return _warned(clock, "clock-not-by-logs") if asked and assumed else clock
+        return clock
     found, lag_s = tested.found, tested.lag_s
     test = ClockTest(
         lag_s=lag_s, explained=found.explained, next_best=found.next_best, here=found.here, certain=found.certain
     )
     clock = replace(clock, test=test)
-    if not (tested.contradicts or (asked and assumed)):
+    if not (tested.contradicts or (asked and assumed and of_people)):
         return clock
-    values = {"lag_s": lag_s, "explained": found.explained, "next_best": found.next_best}
+    values = {"lag_s": lag_s, "error_s": tested.error_s, "explained": found.explained, "next_best": found.next_best}
     line = _line(clock, tested)
+    if not of_people:
+        return _warned(clock, "clock-contradicted", offset_s=line.offset_s + began_s, signals=1.0, **values)
     if not (assumed or asked):
         rate = {} if line.rate == 1.0 else {"rate": line.rate}
         here = {} if found.here is None else {"here": found.here}

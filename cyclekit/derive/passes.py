@@ -131,7 +131,7 @@ def derive(
     first_results, told = moved(passes, first_results, sessions)
     robot = robot_of(first_results, sessions, cell, passes.engine, partial(work.at, "speed"))
     robot = robot._replace(warnings=[*told, *robot.warnings])
-    sessions = with_tested_clocks(passes, sessions, robot.runs, sources, read, asked=by_logs)
+    sessions = with_tested_clocks(passes, sessions, robot.runs, sources, read, stored, asked=by_logs)
     to_sample, dwells = with_standstills(passes, sessions, robot)
     sample = partial(second_pass, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)

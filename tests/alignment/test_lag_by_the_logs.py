@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cyclekit.alignment.clocks.explained import STEP_S, FoundLag, Instants, cells_of, find_lag
-from cyclekit.alignment.clocks.response_lag import FINE_S, PlacesAndLevel, RefinedLag, refine_lag
-from cyclekit.derive.log_clocks import MAX_PEOPLE, people_at_once
+from cyclekit.alignment.clocks.response_lag import FINE_CELL_M, FINE_S, PlacesAndLevel, RefinedLag, refine_lag
+from cyclekit.derive.clock_grids import MAX_PEOPLE, people_at_once
+from cyclekit.derive.log_clocks import GRIDS
 from cyclekit.people.tracks import PersonTrack
 
 LENGTH_S, SLOW_M = 900.0, 1.5
@@ -31,12 +32,14 @@ class Walk(NamedTuple):
             at = goal
         return cls(np.concatenate(parts)[: round(length_s / FINE_S)])
 
-    def level(self, *, up_per_s: float = np.inf) -> np.ndarray:
-        """The robot is slow while the person is near the origin; it is slowed at once and recovers at a rate."""
-        asked = np.where(np.linalg.norm(self.xy_m, axis=1) < SLOW_M, 0.2, 1.0)
-        followed, now = np.empty(len(asked)), 1.0
-        for row, goal in enumerate(asked.tolist()):
-            now = min(goal, now + up_per_s * FINE_S)
+    def level(
+        self, *, down_per_s: float = np.inf, up_per_s: float = np.inf, near_m: tuple[float, ...] = (SLOW_M,)
+    ) -> np.ndarray:
+        """The robot is the slower the nearer the person is to the origin; it slows and recovers at rates."""
+        inside = np.sum([np.linalg.norm(self.xy_m, axis=1) < near for near in near_m], axis=0)
+        followed, now = np.empty(len(inside)), 1.0
+        for row, goal in enumerate((1.0 - 0.8 * inside / len(near_m)).tolist()):
+            now = min(max(goal, now - down_per_s * FINE_S), now + up_per_s * FINE_S)
             followed[row] = now
         return followed
 
@@ -80,8 +83,9 @@ def test_a_part_of_a_take_is_placed_in_it_and_nothing_is_said_of_a_robot_that_no
 
 
 def refined(walk: Walk, level: np.ndarray, lag_s: float) -> RefinedLag:
-    course = PlacesAndLevel(cells_of(walk.xy_m)[None], 0, np.zeros(len(level), np.int64), level, 0)
-    lag = refine_lag([[course]], lag_s)
+    robot = np.zeros(len(level), np.int64)
+    cells = [cells_of(walk.xy_m, FINE_CELL_M, moved)[None] for moved in GRIDS]
+    lag = refine_lag([[PlacesAndLevel(cell, 0, robot, level, 0)] for cell in cells], lag_s)
     assert lag is not None
     return lag
 
@@ -93,6 +97,15 @@ def test_a_slow_recovery_does_not_move_the_refined_lag(up_per_s: float) -> None:
     assert lag.lag_s == pytest.approx(0.0, abs=0.1)
     assert lag.residual_s < 0.2
     assert lag.drift == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slow_ramps_between_many_levels_do_not_move_the_refined_lag(seed: int) -> None:
+    walk = Walk.of(20 + seed)
+    level = walk.level(down_per_s=1.0, up_per_s=0.3, near_m=(0.9, 1.2, 1.5, 1.8))
+    lag = refined(walk, level, 0.0)
+    assert lag.lag_s == pytest.approx(0.0, abs=0.07)
+    assert abs(lag.lag_s) < lag.bound_s
 
 
 def test_a_reaction_time_stays_in_the_lag() -> None:

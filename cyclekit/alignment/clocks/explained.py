@@ -78,14 +78,15 @@ class FoundLag:
     certain: bool
 
 
-def cells_of(xy_m: Floats, moved: tuple[float, float] = (0.0, 0.0)) -> Ints:
+def cells_of(xy_m: Floats, cell_m: float = CELL_M, moved: tuple[float, float] = (0.0, 0.0)) -> Ints:
     """Return the number of the floor's cell of each position (..., 2), m, shape (...); -1 = unknown.
 
     Args:
         xy_m: The positions.
+        cell_m: Width of a cell, m.
         moved: By how many widths of a cell the grid is moved.
     """
-    cell = np.floor(xy_m / CELL_M + np.array(moved))
+    cell = np.floor(xy_m / cell_m + np.array(moved))
     seen = np.asarray(np.isfinite(cell).all(axis=-1))
     numbers = np.where(seen[..., None], cell, 0.0).astype(np.int64)
     return np.where(seen, (numbers[..., 0] + 2**20) * 2**21 + numbers[..., 1] + 2**20, -1)
@@ -115,10 +116,10 @@ def find_lag(sessions: Sequence[Instants], step_s: float = STEP_S) -> FoundLag |
         return None
     best = int(np.argmax(likelihood))
     rivals = _rivals(likelihood, best)
-    mine = _stretches(sessions, int(lags[best]), count, step_s)
+    mine = stretches(sessions, int(lags[best]), count, step_s)
     certain = len(mine) > 1 and len(rivals) > 0 and likelihood[best] > 0.0
     for rival in rivals.tolist() if certain else []:
-        better = mine - _stretches(sessions, int(lags[rival]), count, step_s)
+        better = mine - stretches(sessions, int(lags[rival]), count, step_s)
         spread = float(better.std(ddof=1)) / np.sqrt(len(better))
         certain = certain and bool(better.mean() > stdtrit(len(better) - 1, 1.0 - CHANCE) * spread)
     here = np.flatnonzero((lags == 0) & np.isfinite(likelihood))
@@ -200,8 +201,8 @@ def _rivals(likelihood: Vector, best: int) -> Ints:
     return np.asarray(peaks[np.argsort(-rest[peaks], kind="stable")][:RIVALS])
 
 
-def _stretches(sessions: Sequence[Instants], lag: int, count: int, step_s: float) -> Vector:
-    """Return the log likelihood of each of some stretches of the log at a lag, shape (S,)."""
+def stretches(sessions: Sequence[Instants], lag: int, count: int, step_s: float) -> Vector:
+    """Return the log likelihood of each of some stretches of the log at a lag, shape (S,), with `count` labels."""
     gain = [np.zeros(one.label.shape[1]) for one in sessions]
     for row in range(sessions[0].level.shape[0]):
         pairs = [_met(one, row, lag) for one in sessions]

@@ -1,8 +1,11 @@
-"""A lag refined to about 0.1 s, with its drift: the level asked for by where people are, as it is followed.
+"""A lag refined to less than 0.1 s, with its drift: the instants at which the robot's level begins to answer people.
 
-The robot is slowed at once and recovers slowly, so its level alone is late by seconds. Here the level asked for at each
-place is followed at the rates at which the robot's level falls and rises, and compared with the logged one. A constant
-reaction time cannot be told from the clock: it stays part of the lag.
+The level follows what is asked for through a filter: it falls and rises at limited rates. While it rises, more is asked
+for than it has reached; while it falls, less; otherwise just that. So each instant bounds the level asked for, and the
+bounds of the other windows give its distribution at each place (the estimate of Turnbull, JRSS B 38, 1976, for interval
+censored data). A lag is judged where a move begins: just before a fall at least the level so far is asked for, just
+after it less, and the reverse for a rise. How long a ramp lasts then does not matter. A constant reaction time cannot
+be told from the clock: it stays part of the lag.
 """
 
 from __future__ import annotations
@@ -12,21 +15,31 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from cyclekit.alignment.clocks.explained import CHANCE
+from cyclekit.alignment.clocks.explained import CHANCE, stretches
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from cyclekit.alignment.clocks.explained import Instants
     from cyclekit.schema import Floats, Ints, Vector
 
-FINE_S, AROUND_S = 0.05, 3.0
-"""Step of the search, s, which a parabola refines, and its reach around the found lag, s: a slow recovery moves that by
-up to 2 s."""
-WINDOWS, WINDOW_S = 20, 180.0
-"""Number of windows of the log that are compared, and their maximum length, s: an hour tells enough."""
-MOVES, HALF_S, SHORT_S = 0.012, 0.2, 0.6
-"""The level changes where it differs by more than MOVES from HALF_S before to HALF_S after; in a longer change than
-SHORT_S, s, the level asked for is unknown."""
+FINE_CELL_M = 0.25
+"""Width of a cell of the floor, m."""
+FINE_S, REACH_S = 0.05, 0.5
+"""Step of the search, s, which a parabola refines, and its reach around the best lag of the first search."""
+COARSE_S, AROUND_S = 0.25, 3.0
+"""Step of the first search, s, and its reach around the found lag, which a slow recovery moves by up to 2 s."""
+NEAR_S = 1.0
+"""Maximum time before and after the begin of a move that is compared, s: somebody crosses a cell in less."""
+WINDOWS, WINDOW_S, FOLDS = 20, 180.0, 5
+"""Number of windows of the log that are compared, and their maximum length, s: an hour tells enough. Each is predicted
+by those of the other folds."""
+STATES, PERCENT = 21, 0.01
+"""Maximum number of levels that are told apart, and the resolution of a level: overrides are logged in percent."""
+STEPS, SPREAD = 8, 2.0
+"""Steps of the estimate at each place, and the weight of what is known without the robot's place, in instants."""
+LEAST = 0.01
+"""Minimum probability of what is compared: nothing is impossible."""
 MAX_DRIFT = 200e-6
 """Maximum drift between two clocks that is searched; quartz is good to 100e-6."""
 
@@ -57,6 +70,11 @@ class RefinedLag(NamedTuple):
     about_s: float
     residual_s: float
 
+    @property
+    def bound_s(self) -> float:
+        """Maximum error of the lag, s, at the level CHANCE."""
+        return float(stdtrit(WINDOWS - 1, 1.0 - CHANCE / 2.0)) * self.residual_s
+
 
 def refine_lag(grids: Sequence[Sequence[PlacesAndLevel]], lag_s: float) -> RefinedLag | None:
     """Return the refined lag near `lag_s`; None if the level never changes where the logs meet.
@@ -66,131 +84,210 @@ def refine_lag(grids: Sequence[Sequence[PlacesAndLevel]], lag_s: float) -> Refin
             the mean over moved grids hardly depends on it (Scott, Annals of Statistics 13, 1985).
         lag_s: The lag so far.
     """
-    reach = round(AROUND_S / FINE_S)
-    lags = round(lag_s / FINE_S) + np.arange(-reach, reach + 1)
-    misfits = []
-    for sessions in grids:
-        windows = [window for one in sessions for window in _windows(one, lags, -(-WINDOWS // len(sessions)))]
-        some = windows[:: max(1, len(windows) // WINDOWS)]
-        if not some:
-            return None
-        rates = _rates([window.level for window in some])
-        misfits.append([_misfits(window, asked, rates) for window, asked in zip(some, _asked(some), strict=True)])
-    wrong = np.mean(misfits, axis=0)
-    at_s = np.array([window.at_s for window in some])
-    if not (np.ptp(wrong, axis=1) > 0.0).any():
+    windows = list(_windows(grids[0], _lags(lag_s, AROUND_S + REACH_S, FINE_S)))
+    if not windows:
         return None
+    moves = _moves([grids[0][number].level[rows - grids[0][number].robot_at] for number, rows in windows])
+    if moves.count < 2 or not len(moves.row):
+        return None
+    coarse = _lags(lag_s, AROUND_S, COARSE_S)
+    about = coarse[_misfits(grids[:1], windows, moves, coarse).sum(axis=0).argmin()]
+    lags = _lags(float(about) * FINE_S, REACH_S, FINE_S)
+    wrong = _misfits(grids, windows, moves, lags)
+    return _line(wrong, lags, np.array([(rows[0] + rows[-1]) / 2.0 for _, rows in windows]) * FINE_S)
+
+
+def refine_states(sessions: Sequence[Instants], lag_s: float) -> RefinedLag | None:
+    """Return the refined lag near `lag_s` of states that the robot's levels answer at once, on a grid of FINE_S."""
+    count = 1 + max(int(one.label.max()) for one in sessions)
+    lags = _lags(lag_s, COARSE_S + REACH_S, FINE_S)
+    wrong = -np.array([stretches(sessions, lag, count, FINE_S) for lag in lags.tolist()]).T
+    at = np.concatenate([one.label_at + np.arange(one.label.shape[1]) for one in sessions])
+    return _line(wrong, lags, np.array([part.mean() for part in np.array_split(at, len(wrong))]) * FINE_S)
+
+
+def _line(wrong: Floats, lags: Ints, at_s: Vector) -> RefinedLag:
+    """Return the line of lags at which the misfits (B, L) of some parts of a log, around times (B,), are least."""
     about_s = float(at_s.mean())
     drifts = np.linspace(-MAX_DRIFT, MAX_DRIFT, 41)
-    still = _along(wrong, np.zeros(len(some)))
+    still = _along(wrong, np.zeros(len(at_s)))
     moved = [_along(wrong, drift * (at_s - about_s) / FINE_S) for drift in drifts]
     best = int(np.argmin([one.sum(axis=0).min() for one in moved]))
     better = still[:, still.sum(axis=0).argmin()] - moved[best][:, moved[best].sum(axis=0).argmin()]
-    spread = float(better.std(ddof=1)) / np.sqrt(len(some)) if len(some) > 1 else np.inf
-    drifts_apart = bool(better.mean() > stdtrit(max(len(some) - 1, 1), 1.0 - CHANCE) * spread)
+    spread = float(better.std(ddof=1)) / np.sqrt(len(at_s)) if len(at_s) > 1 else np.inf
+    drifts_apart = bool(better.mean() > stdtrit(max(len(at_s) - 1, 1), 1.0 - CHANCE) * spread)
     drift, chosen = (float(drifts[best]), moved[best]) if drifts_apart else (0.0, still)
     whole = chosen.sum(axis=0)
     without = np.array([_lowest(whole - one) for one in chosen]) * FINE_S
-    error_s = float(np.sqrt((len(some) - 1) * without.var())) if len(some) > 1 else AROUND_S
+    error_s = float(np.sqrt((len(at_s) - 1) * without.var())) if len(at_s) > 1 else AROUND_S
     return RefinedLag(float(lags[0]) * FINE_S + _lowest(whole) * FINE_S, drift, about_s, max(error_s, FINE_S / 2))
 
 
-class _Window(NamedTuple):
-    """A stretch: cells of people (L, K, W) at each lag, cell of the robot (W,), level (W,), and its middle, s."""
-
-    people: Ints
-    robot: Ints
-    level: Vector
-    at_s: float
+def _lags(about_s: float, reach_s: float, step_s: float) -> Ints:
+    """Return the lags within a reach, in steps of FINE_S."""
+    reach, step = round(reach_s / FINE_S), round(step_s / FINE_S)
+    return round(about_s / FINE_S) + np.arange(-reach, reach + 1, step)
 
 
-def _windows(one: PlacesAndLevel, lags: Ints, count: int) -> list[_Window]:
-    """Return some windows of a session in which people are logged at all lags."""
-    first = max(one.robot_at, one.people_at + int(lags[-1]))
-    end = min(one.robot_at + len(one.level), one.people_at + one.people.shape[1] + int(lags[0]))
-    length = min(round(WINDOW_S / FINE_S), max(end - first, 0) // count)
-    if length * FINE_S < SHORT_S:
-        return []
-    begins = np.linspace(first, end - length, count).astype(int)
+def _windows(sessions: Sequence[PlacesAndLevel], lags: Ints) -> Iterator[tuple[int, Ints]]:
+    """Yield the session and the instants of some windows in which people are logged at all lags."""
     found = []
-    for begin in begins.tolist():
-        rows = begin + np.arange(length)
-        people = one.people[:, rows[None] - lags[:, None] - one.people_at].swapaxes(0, 1)
-        mine = rows - one.robot_at
-        found.append(_Window(people, one.robot[mine], one.level[mine], (begin + length / 2) * FINE_S))
+    count = -(-WINDOWS // len(sessions))
+    for number, one in enumerate(sessions):
+        first = max(one.robot_at, one.people_at + int(lags[-1]))
+        end = min(one.robot_at + len(one.level), one.people_at + one.people.shape[1] + int(lags[0]))
+        length = min(round(WINDOW_S / FINE_S), max(end - first, 0) // count)
+        if length * FINE_S >= NEAR_S:
+            begins = np.linspace(first, end - length, count).astype(int)
+            found += [(number, begin + np.arange(length)) for begin in begins.tolist()]
+    yield from found[:: max(1, len(found) // WINDOWS)]
+
+
+class _Moves(NamedTuple):
+    """What the instants of all windows bound, and what is compared where moves begin, as numbers of levels.
+
+    Attributes:
+        count: Number of levels told apart.
+        low, high: Lowest and highest level that may be asked for at each instant, shape (T,).
+        row: Instant of each comparison, shape (C,).
+        first, last: Levels of which one is asked for there, shape (C,).
+    """
+
+    count: int
+    low: Ints
+    high: Ints
+    row: Ints
+    first: Ints
+    last: Ints
+
+
+def _moves(levels: Sequence[Vector]) -> _Moves:
+    """Return the moves of all windows of levels."""
+    steps = [np.nan_to_num(np.diff(level, prepend=level[0])) for level in levels]
+    rates = [_rate(np.concatenate([sign * step for step in steps])) for sign in (-1.0, 1.0)]
+    ways = [_way(step, *rates) for step in steps]
+    still = [level[1:][np.abs(step[1:]) < PERCENT / 2.0] for level, step in zip(levels, steps, strict=True)]
+    held = np.unique(np.round(np.concatenate(still) / PERCENT)) * PERCENT
+    held = held[np.isfinite(held)] if np.isfinite(held).any() else np.zeros(1)
+    states = held[np.unique(np.linspace(0, len(held) - 1, STATES).round().astype(int))]
+    most, begin = len(states) - 1, 0
+    found = []
+    for level, step, way in zip(levels, steps, ways, strict=True):
+        near = np.searchsorted((states[1:] + states[:-1]) / 2.0, level)
+        above = np.minimum(np.searchsorted(states, level), most)
+        below = np.maximum(np.searchsorted(states, level, side="right") - 1, 0)
+        known = np.isfinite(level)
+        low = np.where(known & (way >= 0), np.where(way > 0, above, near), 0)
+        high = np.where(known & (way <= 0), np.where(way < 0, below, near), most)
+        turns = np.where(way != 0, way, np.sign(step) * (np.abs(step) > PERCENT / 2.0)).astype(int)
+        row, first, last = _compared(low, high, turns, most)
+        found.append((low, high, row + begin, first, last))
+        begin += len(level)
+    return _Moves(len(states), *(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def _rate(steps: Vector) -> float:
+    """Return the rate of change, per FINE_S: half of the whole way upwards is gone in steps at least as large."""
+    up = np.sort(steps[steps > PERCENT / 2.0])
+    way = np.cumsum(up)
+    return float(up[np.searchsorted(way, way[-1] / 2.0)]) if len(up) else 1.0
+
+
+def _way(step: Vector, fall: float, rise: float) -> Ints:
+    """Return where the level falls (-1) and rises (1) at its rate, from the smaller step in which that begins."""
+    way = np.zeros(len(step), int)
+    for sign, rate in ((-1, fall), (1, rise)):
+        full = sign * step > rate / 2.0
+        way[full | (np.append(full[1:], False) & (sign * step > 0.0))] = sign
+    return way
+
+
+def _compared(low: Ints, high: Ints, turns: Ints, most: int) -> tuple[Ints, Ints, Ints]:
+    """Return instants (C,) around each begin of a move, and the first and last of the levels asked for there."""
+    begins = np.flatnonzero((turns[1:] != 0) & (turns[1:] != turns[:-1])) + 1
+    ends = [0, *begins.tolist(), len(turns)]
+    found = [np.empty((3, 0), int)]
+    for before, begin, after in zip(ends[:-2], ends[1:-1], ends[2:], strict=True):
+        near = min(round(NEAR_S / FINE_S), begin - before, after - begin)
+        falls = turns[begin] < 0
+        level = int(low[begin - 1]) if falls else int(high[begin - 1]) + 1  # the lowest of those above the threshold
+        if 0 < level <= most:
+            for rows, above in ((np.arange(begin - near, begin), falls), (np.arange(begin, begin + near), not falls)):
+                ends_of = (level, most) if above else (0, level - 1)
+                found.append(np.stack([rows, *(np.full(near, end) for end in ends_of)]))
+    row, first, last = np.concatenate(found, axis=1)
+    return row, first, last
+
+
+def _misfits(
+    grids: Sequence[Sequence[PlacesAndLevel]], windows: Sequence[tuple[int, Ints]], moves: _Moves, lags: Ints
+) -> Floats:
+    """Return the negative log likelihood of what is asked for where moves begin, shape (W, L)."""
+    window = np.repeat(np.arange(len(windows)), [len(rows) for _, rows in windows])
+    wrong = np.zeros((len(windows), len(lags)))
+    for number, lag in enumerate(lags.tolist()):
+        chance = np.zeros(len(moves.row))
+        for grid in grids:
+            people = [grid[s].people[:, rows - lag - grid[s].people_at] for s, rows in windows]
+            robot = np.concatenate([grid[s].robot[rows - grid[s].robot_at] for s, rows in windows])
+            at_least = _at_least(np.concatenate(people, axis=1), robot, window % FOLDS, moves)
+            chance += at_least[moves.first, np.arange(len(chance))] - at_least[moves.last + 1, np.arange(len(chance))]
+        cost = -np.log(np.maximum(chance / len(grids), LEAST))
+        wrong[:, number] = np.bincount(window[moves.row], cost, len(windows))
+    return wrong
+
+
+def _at_least(people: Ints, robot: Ints, fold: Ints, moves: _Moves) -> Floats:
+    """Return the chance that at least each of the levels is asked for where moves are compared, shape (count + 1, C).
+
+    It is that of the person who asks for least, known from the other folds.
+    """
+    count = moves.count
+    slot, at = np.nonzero(people >= 0)
+    _, place = np.unique(people[slot, at], return_inverse=True)
+    robot = np.unique(robot, return_inverse=True)[1]
+    pairs, pair = np.unique(place * (int(robot.max()) + 1) + robot[at], return_inverse=True)
+    of_pair = pairs // (int(robot.max()) + 1)
+    number = np.full(people.shape, len(pairs))  # nobody known
+    number[slot, at] = pair
+    kinds, times = np.unique(
+        ((fold[at] * len(pairs) + pair) * count + moves.low[at]) * count + moves.high[at], return_counts=True
+    )
+    kind_fold, kind, low, high = (
+        kinds // count**2 // len(pairs),
+        kinds // count**2 % len(pairs),
+        kinds // count % count,
+        kinds % count,
+    )
+    found = np.empty((count + 1, len(moves.row)))
+    for one in range(FOLDS):
+        others, mine = kind_fold != one, np.flatnonzero(fold[moves.row] == one)
+        bounds = low[others], high[others], times[others]
+        anywhere = _shares(np.zeros(int(others.sum()), int), *bounds, np.full((1, count), 1.0 / count))
+        here = _shares(of_pair[kind[others]], *bounds, np.repeat(anywhere, int(place.max()) + 1, axis=0))
+        shares = np.concatenate([_shares(kind[others], *bounds, here[of_pair]), anywhere])
+        least = np.zeros((len(shares), count + 1))
+        least[:, :-1] = np.cumsum(shares[:, ::-1], axis=1)[:, ::-1]
+        cells = number[:, moves.row[mine]]
+        somebody = (cells < len(pairs)) | (cells == len(pairs)).all(axis=0)
+        found[:, mine] = np.where(somebody[..., None], least[cells], 1.0).min(axis=0).T
     return found
 
 
-def _asked(windows: Sequence[_Window]) -> list[Floats]:
-    """Return the level asked for in each window at each lag, shape (L, W): the least of all people's."""
-    robot = np.unique(np.concatenate([one.robot for one in windows]))
-    people = np.unique(np.concatenate([one.people.ravel() for one in windows]))
-    held, weight = zip(*(_held(one.level) for one in windows), strict=True)
-    usual = float(np.nanmean(np.concatenate(held))) if np.isfinite(np.concatenate(held)).any() else 1.0
-    numbers = [np.searchsorted(people, one.people) * len(robot) + np.searchsorted(robot, one.robot) for one in windows]
-    made = [np.full((one.people.shape[0], len(one.level)), np.inf) for one in windows]
-    for lag in range(windows[0].people.shape[0]):
-        count, total = np.zeros(len(people) * len(robot)), np.zeros(len(people) * len(robot))
-        for one, number, level, part in zip(windows, numbers, held, weight, strict=True):
-            for slot in range(one.people.shape[1]):
-                use = np.isfinite(level) & (one.people[lag, slot] >= 0)
-                count += np.bincount(number[lag, slot][use], part[use], len(count))
-                total += np.bincount(number[lag, slot][use], (part * level)[use], len(count))
-        mean = np.where(count > 0.0, total / np.maximum(count, 1e-9), usual)
-        for one, number, out in zip(windows, numbers, made, strict=True):
-            there = np.where(one.people[lag] >= 0, mean[number[lag]], np.inf).min(axis=0)
-            out[lag] = np.where(np.isfinite(there), there, usual)
-    return made
-
-
-def _changes(level: Vector) -> list[tuple[int, int]]:
-    """Return the rows before the first and of the last step of each rise and fall."""
-    half = round(HALF_S / FINE_S)
-    change = np.zeros(len(level))
-    change[half:-half] = np.nan_to_num(level[2 * half :] - level[: -2 * half])
-    sign = np.where(np.abs(change) > MOVES, np.sign(change), 0.0)
-    ends = np.append(np.flatnonzero(np.diff(sign)), len(sign) - 1)
-    begins = np.append(0, ends[:-1] + 1)
-    found = []
-    for begin, end in zip(begins[sign[begins] != 0].tolist(), ends[sign[begins] != 0].tolist(), strict=True):
-        steps = np.flatnonzero(np.abs(np.diff(level[begin : end + 1])) > MOVES * FINE_S / HALF_S)
-        if len(steps):
-            found.append((begin + int(steps[0]), begin + int(steps[-1]) + 1))
-    return found
-
-
-def _held(level: Vector) -> tuple[Vector, Vector]:
-    """Return the level asked for, shape (W,), and its weight: that of a long change is little known."""
-    asked, weight = level.copy(), np.ones(len(level))
-    for begin, end in _changes(level):
-        asked[begin + 1 : end + 1] = level[end]
-        if (end - begin) * FINE_S > SHORT_S:
-            weight[begin + 1 : end] = 0.01
-    return asked, weight
-
-
-def _rates(levels: Sequence[Vector]) -> tuple[float, float]:
-    """Return how fast the level falls and rises, per FINE_S: medians over the changes."""
-    fall, rise = [1.0], [1.0]
-    for level in levels:
-        for begin, end in _changes(level):
-            by = float(level[end] - level[begin])
-            (rise if by > 0 else fall).append(abs(by) / (end - begin))
-    return float(np.median(fall[1:] or fall)), float(np.median(rise[1:] or rise))
-
-
-def _misfits(window: _Window, asked: Floats, rates: tuple[float, float]) -> Vector:
-    """Return the summed squared differences between the logged and the followed level, shape (L,)."""
-    known = np.isfinite(window.level)
-    now = np.full(len(asked), window.level[known][0] if known.any() else 1.0)
-    followed = np.empty_like(asked)
-    before = asked[:, 0]
-    for row in range(len(window.level)):
-        by = np.clip(asked[:, row] - now, -rates[0], rates[1])
-        begins = (now == before) & (np.abs(asked[:, row] - now) > 1.5 * np.abs(by))  # a ramp, not a jump
-        now = now + np.where(begins, by / 2.0, by)  # it begins within the step
-        followed[:, row], before = now, asked[:, row]
-    return np.asarray(((followed[:, known] - window.level[known]) ** 2).sum(axis=1))
+def _shares(place: Ints, low: Ints, high: Ints, times: Ints, before: Floats) -> Floats:
+    """Return how often each level is asked for at each place, shape (P, count), from bounds: by expectation steps."""
+    places, width = len(before), before.shape[1] + 1
+    rows = np.bincount(place, times, places)[:, None]
+    begin, end = place * width + low, place * width + high + 1
+    shares = before
+    for _ in range(STEPS):
+        below = np.zeros((places, width))
+        np.cumsum(shares, axis=1, out=below[:, 1:])
+        each = times / (below.ravel()[end] - below.ravel()[begin])
+        inside = np.bincount(begin, each, places * width) - np.bincount(end, each, places * width)
+        expected = shares * np.cumsum(inside.reshape(places, width), axis=1)[:, :-1]
+        shares = (expected + SPREAD * before) / (rows + SPREAD)
+    return shares
 
 
 def _along(wrong: Floats, shifts: Vector) -> Floats:

@@ -150,12 +150,15 @@ def _clock_apart(values: Mapping[str, Value]) -> str:
 def _clock_contradicted(values: Mapping[str, Value]) -> str:
     here = f", and {percent(float(values['here']))} as it is" if "here" in values else ""
     rate = f", clock_rate = {fixed(float(values['rate']), 6)}" if "rate" in values else ""
+    within = f" (to within {fixed(float(values['error_s']), 2)} s)" if "error_s" in values else ""
+    told, of, cure = "the place of people", "speed level", 'align_clocks = "logs"'
+    if "signals" in values:
+        told, of, cure = "its signals", "speed, motion and signals", "sync"
     return (
-        f"its clock is wrong: {signed(float(values['lag_s']), 2)} s would let the place of people explain "
-        f"{percent(float(values['explained']))} of the robot's speed level (next best "
+        f"its clock is wrong: {signed(float(values['lag_s']), 2)} s{within} would let {told} explain "
+        f"{percent(float(values['explained']))} of the robot's {of} (next best "
         f"{percent(float(values['next_best']))}"
-        f"{here}); give clock_offset_s = {fixed(float(values['offset_s']), 2)}{rate}, "
-        'or align_clocks = "logs", in cell.toml'
+        f"{here}); give clock_offset_s = {fixed(float(values['offset_s']), 2)}{rate}, or {cure}, in cell.toml"
     )
 
 
@@ -222,11 +225,13 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "simulated, durations are simulated ones"
     ),
     "clock-not-by-logs": (
-        "not aligned by the logs: they show no lag at which the place of people explains the robot's speed level"
+        "not aligned by the logs: they show no lag for certain at which it explains what the robot does; give "
+        "clock_offset_s or sync in cell.toml"
     ),
     "clock-by-logs": (
-        "its clock was aligned by the logs, {lag_s:+.2f} s: there the place of people explains {explained:.0%} of the "
-        "robot's speed level, next best {next_best:.0%}; the reaction delay of the safety function is hidden in it"
+        "its clock was aligned by the logs, {lag_s:+.2f} s (to within {error_s:.2f} s): there the place of people "
+        "explains {explained:.0%} of the robot's speed level, next best {next_best:.0%}; the reaction delay of the "
+        "safety function is hidden in it"
     ),
     "clock-by-logs-unsure": (
         "its clock was aligned by the logs, {lag_s:+.2f} s, but that is NOT certain: the place of people explains "

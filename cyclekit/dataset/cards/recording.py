@@ -55,7 +55,7 @@ class LogClock(Card, frozen=True, kw_only=True):
 
 
 class ClockTest(Card, frozen=True, kw_only=True):
-    """What the logs themselves say about a clock: where people are explains the robot's level of speed.
+    """What the logs themselves say about a clock: where people are, or states of signals, explain what the robot does.
 
     Attributes:
         lag_s: Time to be added to the log's at the best lag, relative to the clock as it was stated or assumed.

@@ -67,7 +67,7 @@ def with_moved_overrides(
     if not ends or max(high for _, high in ends) - min(low for low, _ in ends) <= 2.0 * STILL:
         return MovedOverrides(list(results), [])
     moved = [run.with_hand(*ALWAYS) for one in results for run in one.runs]
-    aligned = with_tested_clocks(passes, sessions, moved, sources, read, asked=by_logs)
+    aligned = with_tested_clocks(passes, sessions, moved, sources, read, stored, asked=by_logs)
     total_s = sum(run.time_at(run.rows - 1) - run.time_at(0) for run in moved)
     step_s = max(STEP_S, total_s / MAX_ROWS)
     work = [(session, one.runs) for session, one in zip(aligned, results, strict=True)]

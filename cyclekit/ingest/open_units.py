@@ -118,7 +118,7 @@ def _proven(log: Log, card: LogCard, rows: int, other: LogCard | None) -> tuple[
     best = [fit for fit in fits if fit.share >= (MOST if fit.unit.name in _USUAL else NEARLY)]
     if other is not None and len(best) == 1 and all(fit.out for fit in fits if fit is not best[0]):
         (fit,) = best
-        beside = f"{compact(fit.span_s)} s beside {compact(other.duration_s)} s of {other.shown}"
+        beside = f"{compact(fit.span_s)} s beside {compact(other.duration_s)} s of {other.id}"  # no file's name
         return fit.unit, f"{fit.unit.name}: {beside}; no other unit fits"
     names = [f'"{unit.name}"' for unit in card.time_units]
     cause = f"the unit of its times is not stated: it may be {' or '.join(names)}"

@@ -74,7 +74,7 @@ def test_the_span_of_the_robot_proves_the_unit(tmp_path: Path, unit: str, log, n
     t_s, why = stored(folder, tmp_path / "d", name)
     assert t_s == pytest.approx(PRESSED_S[: len(t_s)].tolist(), abs=0.06)
     assert why.startswith(f"{unit}: 29")
-    assert "robot.csv" in why
+    assert "of robot" in why
 
 
 def test_a_clock_that_both_logs_share_need_not_begin_at_zero(tmp_path: Path) -> None:
@@ -125,3 +125,15 @@ def test_a_log_that_was_proven_is_not_read_again(tmp_path: Path) -> None:
     first = stored(folder, tmp_path / "d", "plc.csv")
     (folder / "more.csv").write_text("time_s,signal,value\n1.0,x,1\n2.0,x,0\n")
     assert stored(folder, tmp_path / "d", "plc.csv") == first
+
+
+def test_the_proof_holds_no_name_of_a_file_if_names_are_taken_out(tmp_path: Path) -> None:
+    folder = events(robot(tmp_path / "logs"), [WRITTEN["min"](t) for t in PRESSED_S.tolist()])
+    (folder / "robot.csv").rename(folder / "robot_of_annabell.csv")
+    cell = folder / "cell.toml"
+    cell.write_text(cell.read_text().replace("robot.csv", "robot_of_annabell.csv"))
+    ingest(folder, tmp_path / "d", pseudonymise=True)
+    dataset = Dataset.open(tmp_path / "d")
+    assert "annabell" not in repr(dataset.card)
+    (card,) = [card for card in dataset.recordings if "events" in card.tables]
+    assert card.duration_s == pytest.approx(297.3, abs=0.1)

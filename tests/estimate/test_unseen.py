@@ -178,6 +178,7 @@ def test_after_the_ends_of_the_logs_people_go_on_or_stay_as_they_are_there(
     ends = {state[last - 1].tobytes() for state, last in zip(tracks.state, tracks.logged, strict=True)}
     for state, last, stays in zip(tracks.state, tracks.logged, tracks.stays, strict=True):
         assert ({each.tobytes() for each in state[last:]} <= ends) is bool(stays)
+    assert tracks.stays.sum() == 1
 
     def answered(speed_of: dict[bool, float]) -> dict[str, CycleEstimate]:
         """The orders where people are after the ends of logs in the state with the next speed, by whether they stay."""
@@ -198,6 +199,7 @@ def test_after_the_ends_of_the_logs_people_go_on_or_stay_as_they_are_there(
     apart_s = slow["long"].expected_s - fast["long"].expected_s
     assert apart_s > 0.1 * fast["long"].expected_s
     assert either["long"].expected_low_s < fast["long"].expected_s
+    assert either["long"].expected_s == pytest.approx(slow["long"].expected_s, rel=0.05)
     assert either["long"].expected_high_s > slow["long"].expected_s
     assert slow["long"].expected_high_s < slow["long"].expected_s + 0.5 * (
         slow["long"].expected_s - fast["long"].expected_s

@@ -8,9 +8,9 @@ Econometrica 46, 1978).
 If a cycle takes longer than the logged one, the track continues: with what the operator really did next, if the log
 runs on; else with a stretch of another track that begins in the same state (`continuation`), repeatedly, to any length.
 A state of signals, or of the robot's speed alone, does not tell what people are at: those who have finished look like
-those who come back at once. Then no log tells how they go on after its end: every second track continues with the
-states in which logs end, as if people stayed so. Where logs end at any instant both have the same mean. (Where they do
-not, in one of two simulated cells people stayed, in the other they went on: the last states do not tell which.)
+those who come back at once. Then no log tells how they go on after its end: the track of the shortest log continues
+with the states in which logs end, as if people stayed so, and intervals cover that. Where logs end at any instant both
+have the same mean. (Where they do not, in one of two simulated cells people stayed, in the other they went on.)
 
 While the operator was briefly hidden he was still present: positions are interpolated linearly between the last sight
 and the next. Only while he was away is there no operator.
@@ -156,7 +156,7 @@ def _continued(
     logged = np.array([len(stream.where) for stream, _ in ran_on])
     if not states or not pool:
         return where, activity, logged, None
-    stays, spell = np.arange(len(logged)) % 2 > 0, round(MIN_S / step)
+    stays, spell = np.arange(len(logged)) == logged.argmin(), round(MIN_S / step)
     last = np.random.default_rng(0).integers(len(pool), size=(len(logged), -(-length // spell))).repeat(spell, axis=1)
     ends = [np.array([getattr(stretch, of)[-1] for stretch in pool]) for of in ("where", "activity")]
     for k in np.flatnonzero(stays).tolist():

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 HALF = 0.5
 """Minimum share of how often a task is done that no other task explains, for an interlude; and minimum number of visits
 more for each time that a task follows itself, for a repetition. It is 0 for work and 1 for what comes by itself, and
-this is the middle: 0.25 and 0.9 find the same in the simulated cells."""
+this is the middle. A statistical level: in the logs of eleven simulated cells 0.25 finds the same, and 0.9 the same but
+for one place, a wait short of a fixture that was taken for a visit."""
 TINY = 1e-9
 """Sum of squares that is rounding alone: the other tasks tell how often this one is done."""
 

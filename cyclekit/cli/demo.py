@@ -20,7 +20,7 @@ from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Qu
 from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 from cyclekit.cli.train import summary
 from cyclekit.errors import command_line
-from cyclekit.text.numbers import duration, fixed
+from cyclekit.text.numbers import duration, fixed, interval
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -209,7 +209,7 @@ def _table(estimates: CycleEstimates) -> str:
         [
             f"{rank}. {one.name}",
             marked(one, fixed(one.expected_s, 1)),
-            f"{fixed(one.expected_low_s, 1)} to {fixed(one.expected_high_s, 1)}",
+            interval(one.expected_low_s, one.expected_high_s, 1),
             fixed(one.safety_loss_s, 1),
         ]
         for rank, one in enumerate(estimates, start=1)

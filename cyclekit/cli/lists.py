@@ -55,11 +55,7 @@ def task_list_tables(found: TaskListFacts) -> str:
 def _said(found: TaskListFacts) -> list[str]:
     total = sum(one.tasks for one in found.agents)
     lasted = found.execution_s
-    spans = (
-        f", {fixed(lasted.least, 1)} to {fixed(lasted.most, 1)} s long (median {fixed(lasted.median, 1)} s)"
-        if lasted
-        else ""
-    )
+    spans = f", {span(lasted.least, lasted.most, 1)} s long (median {fixed(lasted.median, 1)} s)" if lasted else ""
     return [
         f"executions: {found.executions}{spans}" if found.executions else "executions: none named",
         f"outcome: {found.failed} of {total} tasks failed; without an end: {found.no_end}",
@@ -124,9 +120,7 @@ def lost_table(found: LostTime | None) -> str:
 
 
 def _level(one: PersonLoss) -> list[str]:
-    where = (
-        "" if one.nearest_m is None else f", operator {fixed(one.nearest_m, 2)} to {fixed(one.farthest_m, 2)} m away"
-    )
+    where = "" if one.nearest_m is None else f", operator {span(one.nearest_m, one.farthest_m, 2)} m away"
     return [f"  at {percent(one.level)} speed{where}", fixed(one.lost_s, 1), "", ""]
 
 

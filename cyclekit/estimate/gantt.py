@@ -142,7 +142,7 @@ def _of_plan(each: CycleEstimate, tints: Mapping[str, str]) -> Block:
             bars += _parts(shares[number], at, task.start_s, task.end_s, row)
         else:
             colour = colours.NOMINAL if task.kind == "robot" else colours.OPERATOR
-            tip = f"{row}: {fixed(task.start_s, 1)} to {fixed(task.end_s, 1)} s"
+            tip = f"{row}: {span(task.start_s, task.end_s, 1)} s"
             bars.append(Bar(at, task.start_s, task.end_s, colour, tip=tip, row=row))
         if not task.rest:
             end_s = each.plan[rests[number]].end_s if number in rests else task.end_s
@@ -262,7 +262,7 @@ def _course(ended: Sequence[_Ended]) -> TaskEnds | None:
     known = len(low) == len(high) == len(ended)
     tips = []
     for done, each in enumerate(ended, start=1):
-        band = f"; in single cycles {fixed(each.low_s, 1)} to {fixed(each.high_s, 1)} s" if known else ""
+        band = f"; in single cycles {span(each.low_s, each.high_s, 1)} s" if known else ""
         tips.append(f"{done} of {len(ended)} tasks done, {each.name}: {fixed(each.end_s, 1)} s{band}")
     band_s = (tuple(low), tuple(high)) if known else ((), ())
     return TaskEnds(tuple(each.end_s for each in ended), *band_s, tuple(tips))

@@ -10,7 +10,7 @@ from matplotlib.ticker import PercentFormatter
 from cyclekit.plots import colours
 from cyclekit.plots.floor import SHADE, draw_cell, label_axes, outline, square
 from cyclekit.plots.style import INK, MUTED, RULE
-from cyclekit.text.numbers import compact, fixed
+from cyclekit.text.numbers import compact, fixed, span
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -101,7 +101,7 @@ def draw_path(
     speeds = np.unique(squares[counts, 2].round(3)).tolist()
     named = ", ".join(f"{compact(100 * speed, 4)} %" for speed in speeds)
     if len(speeds) > NAMED:  # of a network
-        named = f"{fixed(100 * speeds[0], 0)} to {fixed(100 * speeds[-1], 0)} %"
+        named = f"{span(100 * speeds[0], 100 * speeds[-1], 0)} %"
     where = f"{named} on {fixed(100 * counts.mean(), 0)} % of the path" if counts.any() else "does not count"
     axes.set_title(f"{signal}: {where}", loc="left")
     label_axes(axes, "x, m (base frame)", "y, m (base frame)", None, draw_cell(axes, cell, "base"))

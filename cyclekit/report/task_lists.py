@@ -24,7 +24,18 @@ from cyclekit.report.tiles import tile_rows
 from cyclekit.report.tried import Tried
 from cyclekit.report.verdict import basis, beside_tiles, in_words, others, verdict
 from cyclekit.storage.atomic import write_text
-from cyclekit.text.numbers import UNKNOWN, count, counted, fixed, given, percent, seconds, signed_percent
+from cyclekit.text.numbers import (
+    UNKNOWN,
+    count,
+    counted,
+    fixed,
+    given,
+    interval,
+    percent,
+    seconds,
+    signed_percent,
+    span,
+)
 from cyclekit.text.plain_json import json_text
 
 if TYPE_CHECKING:
@@ -197,19 +208,19 @@ def _logged(texts: ReportTexts, dataset: Dataset, takt_s: float | None) -> list[
 
 def _ends(task: PlannedShare) -> str:
     known = task.end_low_s is not None and task.end_high_s is not None
-    return f"{fixed(task.end_low_s, 1)} to {fixed(task.end_high_s, 1)}" if known else UNKNOWN
+    return span(task.end_low_s, task.end_high_s, 1) if known else UNKNOWN
 
 
 def _logged_in_words(dataset: Dataset, takt_s: float | None) -> str:
     cycles_s = dataset.executions.filter("complete")["duration_s"].to_list()
     tasks = dataset.every_task().select("agent", "agent_name", "task").unique()
-    agents = count(tasks.select("agent", "agent_name").n_unique())
-    listed = f"{count(tasks.height)} tasks of {agents} agents"
+    agents = counted(tasks.select("agent", "agent_name").n_unique(), "agent")
+    listed = f"{counted(tasks.height, 'task')} of {agents}"
     if not cycles_s:
         return f"{listed}; no complete execution."
-    times = sum(cycles_s) / len(cycles_s), min(cycles_s), max(cycles_s)
-    mean, low, high = (f"{fixed(value, 1)} s" for value in times)
-    said = f"{count(len(cycles_s))} logged executions take {mean} on average ({low} to {high})"
+    mean, ends = fixed(sum(cycles_s) / len(cycles_s), 1), span(min(cycles_s), max(cycles_s), 1)
+    many = f"{counted(len(cycles_s), 'logged execution')} {'takes' if len(cycles_s) == 1 else 'take'}"
+    said = f"{many} {mean} s" + (f" on average ({ends} s)" if ends != mean else "")
     if takt_s is not None:
         within = sum(cycle_s <= takt_s for cycle_s in cycles_s) / len(cycles_s)
         said += f", {percent(within)} of them within the takt of {given(takt_s)} s"
@@ -223,8 +234,8 @@ def _ranking(found: Sequence[CycleEstimate], takt_s: float | None) -> list[Part]
         [
             one.name,
             fixed(one.expected_s, 1),
-            f"{fixed(one.expected_low_s, 1)} to {fixed(one.expected_high_s, 1)}",
-            f"{fixed(min(one.quantiles_s.values()), 1)} to {fixed(max(one.quantiles_s.values()), 1)}",
+            interval(one.expected_low_s, one.expected_high_s, 1),
+            span(min(one.quantiles_s.values()), max(one.quantiles_s.values()), 1),
             fixed(sum(task.wait_s for task in one.plan if task.kind == "robot"), 1),
             *([percent(one.takt_probability[0])] if one.takt_probability else []),
         ]

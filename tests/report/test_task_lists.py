@@ -80,7 +80,7 @@ def test_the_page_of_logs_alone_shows_the_logged_executions_and_how_to_learn_mor
     facts = write_report(logged, tmp_path / "page.html", takt_s=15.6)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert facts.headline.replace("\N{NO-BREAK SPACE}", " ") == (
-        "6 logged executions take 15.8 s on average (15.0 s to 17.0 s), 50 % of them within the takt of 15.6 s: "
+        "6 logged executions take 15.8 s on average (15.0 to 17.0 s), 50 % of them within the takt of 15.6 s: "
         "3 tasks of 2 agents."
     )
     assert facts.pictures == 1

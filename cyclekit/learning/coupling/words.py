@@ -9,7 +9,7 @@ import polars as pl
 
 from cyclekit.dataset.cards.notes import note
 from cyclekit.learning.coupling.waits import condition_text
-from cyclekit.text.numbers import fixed, percent
+from cyclekit.text.numbers import fixed, percent, span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -128,8 +128,7 @@ def _own_work_line(gate: GateCard) -> str:
 
 def _in_turn_line(card: InTurnCard) -> str:
     gap, first = (
-        f"{fixed(_quantile(values, 0.05), 1)} to {fixed(_quantile(values, 0.95), 1)} s"
-        for values in (card.gap_s, card.first_s)
+        f"{span(_quantile(values, 0.05), _quantile(values, 0.95), 1)} s" for values in (card.gap_s, card.first_s)
     )
     return (
         f"one operator gives {', '.join(card.signals)} in turn: each at the earliest {gap} after the one before, the "
@@ -138,14 +137,14 @@ def _in_turn_line(card: InTurnCard) -> str:
 
 
 def _source_lines(source: SourceCard, *, in_turn: bool) -> list[str]:
-    gap = f"{fixed(_quantile(source.gap_s, 0.05), 1)} to {fixed(_quantile(source.gap_s, 0.95), 1)} s"
+    gap = f"{span(_quantile(source.gap_s, 0.05), _quantile(source.gap_s, 0.95), 1)} s"
     if not source.after:
         between = ", also between executions" if source.comes_on else ""
         signal = "" if source.inferred else f" of {source.signal}"
         return [f"parts{signal} come {gap} apart{between}; at most {source.buffer} wait at {source.taken_by}"]
     lines = []
     for one in source.after:
-        lag = f"{fixed(max(_quantile(one.lag_s, 0.05), 0.0), 1)} to {fixed(_quantile(one.lag_s, 0.95), 1)} s"
+        lag = f"{span(max(_quantile(one.lag_s, 0.05), 0.0), _quantile(one.lag_s, 0.95), 1)} s"
         visit = " in its visit before" if one.back else ""
         by_itself = not in_turn and _quantile(source.gap_s, 0.95) > 0.0
         own = f", or {gap} after the one before, whichever is later" if by_itself else ""

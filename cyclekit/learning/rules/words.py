@@ -9,7 +9,7 @@ import numpy as np
 from cyclekit.learning.rules.law.law import SAME, shape_of
 from cyclekit.learning.rules.samples.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
 from cyclekit.learning.rules.samples.regions import asks_operator, corners, polygon_corners
-from cyclekit.text.numbers import compact, exact_percent, fixed, percent, signed, with_interval
+from cyclekit.text.numbers import compact, exact_percent, fixed, percent, signed, span, with_interval
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import (
@@ -139,7 +139,7 @@ def place_of(signal: SignalCard) -> str:
 
 def _between(name: str, low: MetresCard | None, high: MetresCard | None) -> str:
     if low is not None and high is not None:
-        return f"{name} {fixed(low.value, 3)} to {fixed(high.value, 3)} m"
+        return f"{name} {span(low.value, high.value, 3)} m"
     return (
         f"{name} above {fixed(low.value, 3)} m"
         if low is not None

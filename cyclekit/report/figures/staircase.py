@@ -63,7 +63,7 @@ def _data(texts: ReportTexts, found: LoggedResponse) -> ReportTable:
         expected = UNKNOWN
         if found.predicted is not None and np.isfinite(found.predicted[mine]).all():
             expected = whole_percent(float(np.average(found.predicted[mine], weights=weight[mine])))
-        name = f"{fixed(edge * DATA_M, 2)} to {fixed((edge + 1) * DATA_M, 2)}"
+        name = span(edge * DATA_M, (edge + 1) * DATA_M, 2)
         rows.append([name, logged, expected, count(int(weight[mine].sum()))])
     return ReportTable(texts("why.data"), heads, rows, frozenset({0, 1, 2, 3}), silent=True)
 

@@ -14,7 +14,7 @@ from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.findings import task_shares
 from cyclekit.report.pictures import WIDE_IN, Picture
 from cyclekit.report.tables import ReportTable
-from cyclekit.text.numbers import UNKNOWN, count, fixed, percent
+from cyclekit.text.numbers import UNKNOWN, count, fixed, percent, span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -160,7 +160,7 @@ def _tasks(texts: ReportTexts, each: CycleEstimate) -> ReportTable:
 
 
 def _band(low_s: float | None, high_s: float | None) -> str:
-    return UNKNOWN if low_s is None or high_s is None else f"{fixed(low_s, 1)} to {fixed(high_s, 1)}"
+    return UNKNOWN if low_s is None or high_s is None else span(low_s, high_s, 1)
 
 
 def _plan(texts: ReportTexts, each: CycleEstimate) -> ReportTable:

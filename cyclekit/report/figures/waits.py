@@ -10,7 +10,7 @@ from cyclekit.plots.waits import WaitArrow, draw_waits, height_in
 from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
-from cyclekit.text.numbers import count, fixed, percent
+from cyclekit.text.numbers import count, fixed, percent, span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -89,7 +89,7 @@ def _table(page: PageInputs, lines: Sequence[str]) -> ReportTable:
     texts = page.texts
     names = ("who", "until", "lag", "band", "obeyed", "had_to_wait", "seconds")
     shown = [
-        [row.who, row.until, fixed(row.lag_s[1], 1), f"{fixed(row.lag_s[0], 1)} to {fixed(row.lag_s[2], 1)}",
+        [row.who, row.until, fixed(row.lag_s[1], 1), span(row.lag_s[0], row.lag_s[2], 1),
          percent(row.condition.held), row.had_to_wait, fixed(seconds, 1)]
         for row, seconds in page.waits
     ]  # fmt: skip

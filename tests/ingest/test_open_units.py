@@ -82,6 +82,16 @@ def test_a_clock_that_both_logs_share_need_not_begin_at_zero(tmp_path: Path) -> 
     assert stored(folder, tmp_path / "d", "plc.csv")[0] == pytest.approx((15_234.2 + PRESSED_S).tolist())
 
 
+@pytest.mark.parametrize("begin_s", [0.0, 1234.5, 86_400.0])
+def test_minutes_of_a_clock_that_began_long_before_are_not_taken_for_seconds(tmp_path: Path, begin_s: float) -> None:
+    folder = safety(robot(tmp_path / "logs"), [WRITTEN["min"](begin_s + t) for t in PRESSED_S.tolist()])
+    if begin_s:
+        with pytest.raises(LogError, match='"min"'):
+            ingest(folder, tmp_path / "d")
+    else:
+        assert stored(folder, tmp_path / "d", "speed_override.csv")[1].startswith("min")
+
+
 @pytest.mark.parametrize(
     "counts",
     [

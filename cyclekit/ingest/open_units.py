@@ -142,7 +142,7 @@ def _fit(card: LogCard, unit: TimeUnit, rows: int, other: LogCard) -> _Fit:
     ends = [(begin, end) for begin, end in ends if begin > -(1.0 - MOST) * other.duration_s]
     share = max((_common(begin, end, other.duration_s) for begin, end in ends), default=0.0)
     least = min((end / other.duration_s for _, end in ends), default=float("inf"))
-    out = not ends or least > 1.0 / MOST or least ** max(rows - 1, 0) < CHANCE
+    out = not ends or least > 1.0 / MOST or min(least, 1.0) ** max(rows - 1, 0) < CHANCE
     return _Fit(unit, last_s - first_s, share, out)
 
 

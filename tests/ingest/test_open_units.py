@@ -147,3 +147,8 @@ def test_the_proof_holds_no_name_of_a_file_if_names_are_taken_out(tmp_path: Path
     assert "annabell" not in repr(dataset.card)
     (card,) = [card for card in dataset.recordings if "events" in card.tables]
     assert card.duration_s == pytest.approx(297.3, abs=0.1)
+
+
+def test_a_long_log_that_runs_on_after_the_robot_is_proven_too(tmp_path: Path) -> None:
+    counts = [f"{t:.2f}" for t in np.cumsum(np.random.default_rng(1).uniform(0.05, 0.3, 2600))]
+    assert stored(safety(robot(tmp_path / "logs"), counts), tmp_path / "d", "speed_override.csv")[1].startswith("s: 4")

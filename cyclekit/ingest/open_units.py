@@ -41,7 +41,7 @@ fifth off 1/100 s. Half of it takes them for it; twice of it would ask about all
 _USUAL = {"ns", "us", "ms", "s", "min", "h", "days"}
 CHANCE = 1e-4
 """Largest chance with which the rows of a log, were they spread evenly over the others' time, all lie at its beginning.
-Half and twice of it ask about logs of three to five rows less or more."""
+With units a thousand apart three rows are enough, with ten apart five; half and twice change that by at most one."""
 _KINDS = ("robot", "people", "safety", "task_list", "events")
 """Tables with which a log is compared, the best first: a robot's runs from the first to the last sample."""
 

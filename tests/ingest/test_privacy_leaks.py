@@ -275,8 +275,6 @@ def test_of_free_text_only_known_words_and_numbers_remain(
     assert run(["ingest", str(told), "--out", str(place), "--pseudonymise"]) == 0
     assert run(["inspect", str(place)]) == 0
     assert run(["inspect", str(place), "--json"]) == 0
-    assert run(["report", str(place), "--out", str(place / "report.json")]) == 0
-    assert run(["report", str(place), "--out", str(place / "report.csv")]) == 0
     said = capsys.readouterr()
     texts = {"said": (said.out + said.err).replace("\\u2026", "…")}
     for file in place.rglob("*"):

@@ -68,8 +68,8 @@ def test_the_conditions_are_a_table_with_the_seconds_waited_in_each_execution(co
     assert rows[1:] == [
         ["robot before left", "operator leaves desk (release set), 1 visit earlier", "0.2", "0.1 to 0.3", "99 %",
          "7 of 40", "2.0"],
-        ["robot at right", "digital-input 3 set", "0.1", "0.1 to 0.1", "100 %", "12 of 20", "3.0"],
-        ["operator at desk", "robot arrives left", "0.5", "0.5 to 0.5", "100 %", "5 of 20", "1.5"],
+        ["robot at right", "digital-input 3 set", "0.1", "0.1", "100 %", "12 of 20", "3.0"],
+        ["operator at desk", "robot arrives left", "0.5", "0.5", "100 %", "5 of 20", "1.5"],
         ["robot, elsewhere", "not known", "", "", "", "", "0.5"],
     ]  # fmt: skip
     assert "Parts of digital-input 3 come 4.2 to 8.8 s apart; at most 2 wait at right." in part

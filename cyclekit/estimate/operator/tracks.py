@@ -40,6 +40,12 @@ if TYPE_CHECKING:
     from cyclekit.schema import Ints, Points
 
 
+MAX_POOLED = 400
+"""Maximum number of logs, evenly chosen, whose stretches continue tracks: all ends are held against all of them, which
+costs the square of their number, and one of the 15 most similar is drawn. A limit of cost: up to 400 logs it changes
+nothing."""
+
+
 @dataclass(frozen=True)
 class OperatorTracks:
     """K tracks on one grid of time since the start of the cycle.
@@ -149,7 +155,8 @@ def _continued(
 ) -> tuple[Points, Ints, Ints, NDArray[np.bool_] | None]:
     """Return tracks, (K, length, 3 or more) and (K, length), samples of each that are its own, (K,), and `stays`."""
     ran_on = [_run_on(tracks, [name, *after[name]], step, states=states) for name in begins]
-    followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
+    whole = [name for name in tracks if tracks[name].followed]
+    followed = {name: number for number, name in enumerate(whole[:: -(-len(whole) // MAX_POOLED) or 1])}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
     owners = [followed.get(last, -1) for _, last in ran_on]
     where, activity = Continuation(pool, step).extend([stream for stream, _ in ran_on], owners, length)

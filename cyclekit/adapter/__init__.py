@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Protocol, runtime_checkable
+
+from msgspec import Meta
 
 from cyclekit.storage.safe_path import safe_path
 from cyclekit.storage.scratch import Scratch as Scratch  # for adapters that need a copy of a log
@@ -64,8 +66,8 @@ class TimeUnit(NamedTuple):
     """
 
     name: str
-    seconds: float
-    zero_s: float | None = None
+    seconds: Annotated[float, Meta(ge=0.0, le=1e19)]
+    zero_s: Annotated[float, Meta(ge=-1e19, le=1e19)] | None = None
 
 
 @dataclass(frozen=True)

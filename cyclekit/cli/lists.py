@@ -159,8 +159,8 @@ def safety_lines(found: SafetyFacts) -> list[str]:
 
 
 USED_IF = (
-    "found in the logs; a model uses them unless logged executions roll out worse with them: cyclekit inspect MODEL "
-    "shows those used"
+    "found in the logs; a model uses them unless logged executions roll out worse with them. Those used: "
+    "cyclekit inspect MODEL"
 )
 
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from cyclekit.config import Source
     from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.sessions import Session
-    from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.dataset.signals import Read, SignalChanges, Stored
     from cyclekit.derive.over_sessions import Passes
     from cyclekit.segmentation.stored_run import Run
 
@@ -81,10 +81,15 @@ class _SameClock:
 
 
 class _Tested(NamedTuple):
-    """What the logs say about a clock."""
+    """What the logs say about a clock.
+
+    `delay_s`: How much later than a reaction what is tested may come in the process, s: nobody can tell such a delay
+    from a clock.
+    """
 
     found: FoundLag
     refined: RefinedLag | None
+    delay_s: float = 0.0
 
     @property
     def lag_s(self) -> float:
@@ -99,7 +104,7 @@ class _Tested(NamedTuple):
     def contradicts(self) -> bool:
         """Whether the clock is wrong for certain: no reaction time lies within the error of the lag."""
         apart_s = max(REACTION_S[0] - self.lag_s, self.lag_s - REACTION_S[1])
-        return self.found.certain and apart_s > self.error_s
+        return self.found.certain and apart_s > self.error_s + self.delay_s
 
 
 def with_tested_clocks(
@@ -222,7 +227,14 @@ def _by_signals(group: _SameClock, read: Read, stored: Stored) -> _Tested | None
 
     if not codes or (found := find_lag(instants(STEP_S))) is None:
         return None
-    return _Tested(found, refine_states(instants(FINE_S), found.lag_s))
+    between = [_usual_interval_s(one) for told, *_ in parts for _, mine in told for one in mine.values()]
+    return _Tested(found, refine_states(instants(FINE_S), found.lag_s), min(between))
+
+
+def _usual_interval_s(one: SignalChanges) -> float:
+    """Return the least median time from a value of a signal to the next time it has it, s; inf if none comes again."""
+    apart = [np.diff(one.t_s[one.value == value]) for value in np.unique(one.value)]
+    return min((float(np.median(times)) for times in apart if len(times)), default=np.inf)
 
 
 def _by_people(group: _SameClock, sources: Mapping[str, Source | None], read: Read) -> _Tested | None:

@@ -22,9 +22,9 @@ MS_PER_SESSION = {"motion": 1.5, "speed": 2.0, "standstills": 2.0, "samples": 2.
 MS_PER_ROW, MS_PER_S = 0.3e-3, 0.2
 """Measured processor time of the stages per standstill, session, row of the robot and second of its log, ms. Half or
 twice of one of them makes the remaining time wrong by at most half of that stage's share."""
-MS_TRACKER, MS_SIGNALS = {"speed": 1.0, "waits": 1.0}, {"levels": 0.7}
-"""The same per standstill: of the tests of a tracker's clock and of its checks, and of the search for signals that show
-people."""
+MS_TRACKER, MS_SIGNALS = {"speed": 1.0, "waits": 1.0}, {"speed": 0.5, "levels": 0.7}
+"""The same per standstill: of the tests of the clocks of trackers and signals, of checks, and of the search for signals
+that show people."""
 
 
 class StageProgress:

@@ -17,7 +17,7 @@ MS_PER_MB, MS_PER_LOG = 4.0, 5.0
 STOP_S = 7.0
 """Assumed time from one standstill to the next, s, before they are counted. Half or twice of it matters only while
 logs are read: the remaining time is then too long or too short by the time of the later stages."""
-MS_PER_STOP = {"motion": 0.4, "speed": 8.0, "standstills": 1.0, "samples": 0.8, "levels": 0.3, "waits": 0.5}
+MS_PER_STOP = {"motion": 0.5, "speed": 8.0, "standstills": 1.0, "samples": 0.8, "levels": 0.3, "waits": 0.5}
 MS_PER_SESSION = {"motion": 1.5, "speed": 2.0, "standstills": 2.0, "samples": 2.0, "levels": 5.0}
 MS_PER_ROW, MS_PER_S = 0.3e-3, 0.2
 """Measured processor time of the stages per standstill, session, row of the robot and second of its log, ms. Half or

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from epochs import EPOCHS
 from examples import at_most
 from hypothesis import HealthCheck, assume, given
 from hypothesis import strategies as st
@@ -30,14 +31,6 @@ COUNTED = {
     "ns": 1e-9, "10 ns": 1e-8, "100 ns": 1e-7, "us": 1e-6, "10 us": 1e-5, "ms": 1e-3,
     "1/100 s": 0.01, "1/10 s": 0.1, "s": 1.0, "min": 60.0, "h": 3600.0, "days": DAY_S,
 }  # fmt: skip
-EPOCHS = {
-    "s since 1970": (1.0, 0.0, "s"), "ms since 1970": (1e-3, 0.0, "ms"), "us since 1970": (1e-6, 0.0, "us"),
-    "ns since 1970": (1e-9, 0.0, "ns"), "excel": (DAY_S, 25_569 * DAY_S, "excel"),
-    "wincc": (DAY_S * 1e-6, 25_569 * DAY_S, "wincc"), "matlab": (DAY_S, 719_529 * DAY_S, "matlab"),
-    "filetime": (1e-7, 11_644_473_600.0, "filetime"), "ticks": (1e-7, 62_135_596_800.0, "ticks"),
-    "1904": (1.0, 2_082_844_800.0, "1904"), "gps": (1.0, -315_964_800.0 + 18.0, "gps"),
-}  # fmt: skip
-"""One count in s, what the count is ahead of one since 1970 in s, and the name of the unit."""
 WHOLE = {
     "ns",
     "10 ns",

@@ -19,6 +19,7 @@ from msgspec import structs
 from cyclekit.alignment.clocks import ASSUMED, ClockFit
 from cyclekit.alignment.clocks.explained import CELL_M, STEP_S, FoundLag, Instants, cells_of, find_lag, numbered
 from cyclekit.alignment.clocks.response_lag import (
+    AROUND_S,
     FINE_CELL_M,
     FINE_S,
     PlacesAndLevel,
@@ -214,10 +215,13 @@ def _by_signals(group: _SameClock, read: Read, stored: Stored) -> _Tested | None
     codes = {pair: number for number, pair in enumerate(sorted(values))}
     own = sorted({name for *_, mine in parts for name in mine if name != REGISTER})
 
-    def instants(step_s: float) -> list[Instants]:
+    def instants(step_s: float, lag_s: float | None = None) -> list[Instants]:
         made = []
         for told, t_s, tcp_m, level, mine in parts:
-            label, label_at = states_of(told, codes, step_s)
+            met = told if lag_s is None else _met_by(told, t_s[0] - lag_s - AROUND_S, t_s[-1] - lag_s + AROUND_S)
+            if not met:
+                continue
+            label, label_at = states_of(met, codes, step_s)
             way_m, apart_s = np.linalg.norm(np.gradient(tcp_m, axis=0), axis=1), np.gradient(t_s)
             speed = np.divide(way_m, apart_s, out=np.full(len(t_s), np.nan), where=apart_s > 0.0)
             bits = [mine[name].at(t_s) == "1" if name in mine else np.full(len(t_s), np.nan) for name in own]
@@ -228,7 +232,15 @@ def _by_signals(group: _SameClock, read: Read, stored: Stored) -> _Tested | None
     if not codes or (found := find_lag(instants(STEP_S))) is None:
         return None
     between = [_usual_interval_s(one) for told, *_ in parts for _, mine in told for one in mine.values()]
-    return _Tested(found, refine_states(instants(FINE_S), found.lag_s), min(between))
+    return _Tested(found, refine_states(instants(FINE_S, found.lag_s), found.lag_s), min(between))
+
+
+def _met_by(
+    told: Sequence[tuple[tuple[float, float], Mapping[str, SignalChanges]]], first_s: float, last_s: float
+) -> list[tuple[tuple[float, float], Mapping[str, SignalChanges]]]:
+    """Return logs of signals with the part of their spans between two times, s; none that has no such part."""
+    cut = [((max(span[0], first_s), min(span[1], last_s)), mine) for span, mine in told]
+    return [(span, mine) for span, mine in cut if span[1] - span[0] >= STEP_S]
 
 
 def _usual_interval_s(one: SignalChanges) -> float:

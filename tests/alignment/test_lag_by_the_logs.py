@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from cyclekit.alignment.clocks import explained
 from cyclekit.alignment.clocks.explained import STEP_S, FoundLag, Instants, cells_of, find_lag
 from cyclekit.alignment.clocks.response_lag import FINE_CELL_M, FINE_S, PlacesAndLevel, RefinedLag, refine_lag
 from cyclekit.derive.clock_grids import MAX_PEOPLE, people_at_once
@@ -60,6 +61,19 @@ def test_the_lag_is_found_wherever_it_is(late_s: float) -> None:
     assert (lag.lag_s, lag.certain) == (-late_s, True)
     assert lag.explained > 0.8 > lag.next_best
     assert (lag.here is None) == (abs(late_s) > LENGTH_S)
+
+
+def test_weeks_without_a_change_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    every, weeks, walk, sizes = round(STEP_S / FINE_S), 1_000_000, Walk.of(1), list[int]()
+    monkeypatch.setattr(
+        explained.fft, "rfft", lambda x, n=None, **k: sizes.append(n or len(x)) or np.fft.rfft(x, n, **k)
+    )
+    label, level = cells_of(walk.xy_m[::every])[None], walk.level()[None, ::every]
+    waiting = np.full((1, weeks), label[0, 0])
+    lag = find_lag([Instants(np.concatenate([waiting, label, waiting], axis=1), 74 - weeks, level, 0)])
+    assert lag is not None
+    assert lag.lag_s == -37.0
+    assert max(sizes) < 100_000
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.schema import Bools, Floats, Ints, Vector
+    from cyclekit.schema import Floats, Ints, Vector
 
 CELL_M = 0.35
 """Width of a cell of the floor, m: a step. Half and twice of it find the same lags in ten simulated pairs of 5 to
@@ -40,6 +40,8 @@ LEAST = 1e-3
 """Minimum unexplained share: signals that agree exactly would have an infinite likelihood."""
 _AT_ONCE = 1 << 23
 """Maximum number of values in one block of transforms: it stays in memory."""
+_LAGS = 1 << 14
+"""Minimum number of lags in a block: a limit of memory, which no result depends on."""
 
 
 class Instants(NamedTuple):
@@ -136,6 +138,36 @@ def find_lag(sessions: Sequence[Instants], step_s: float = STEP_S) -> FoundLag |
 
 
 def _over_all_lags(sessions: Sequence[Instants], count: int, least: int) -> tuple[Ints, Vector, Vector]:
+    """Return all lags, the log likelihood at each (-inf: nothing to compare), and the explained share.
+
+    A trace of weeks beside logs of minutes is taken block by block; a block in which no label changes tells nothing.
+    """
+    low = min(one.level_at - one.label_at - one.label.shape[1] + 1 for one in sessions)
+    high = max(one.level_at - one.label_at + one.level.shape[1] - 1 for one in sessions)
+    block = max(_LAGS, 2 * max(one.level.shape[1] for one in sessions))
+    if high - low < block:
+        return _over_lags(sessions, count, least)
+    lags = np.arange(low, high + 1)
+    likelihood, explained = np.full(len(lags), -np.inf), np.zeros(len(lags))
+    for first in range(low, high + 1, block):
+        last = min(first + block - 1, high)
+        some = [part for one in sessions if (part := _meeting(one, first, last)).label.size]
+        if all((part.label == part.label[:, :1]).all() for part in some):
+            continue
+        mine, its_likelihood, its_explained = _over_lags(some, count, least)
+        inside = (mine >= first) & (mine <= last)
+        likelihood[mine[inside] - low], explained[mine[inside] - low] = its_likelihood[inside], its_explained[inside]
+    return lags, likelihood, explained
+
+
+def _meeting(one: Instants, first: int, last: int) -> Instants:
+    """Return a session with the labels alone that meet its levels at lags from `first` to `last`."""
+    begin = max(one.level_at - last - one.label_at, 0)
+    end = max(one.level_at + one.level.shape[1] - first - one.label_at, begin)
+    return one._replace(label=one.label[:, begin:end], label_at=one.label_at + begin)
+
+
+def _over_lags(sessions: Sequence[Instants], count: int, least: int) -> tuple[Ints, Vector, Vector]:
     """Return all lags, the log likelihood at each (-inf: too short), and the explained share, by Fourier transforms."""
     apart = [one.level_at - one.label_at for one in sessions]
     low = min(by - one.label.shape[1] + 1 for by, one in zip(apart, sessions, strict=True))
@@ -226,10 +258,9 @@ def stretches(sessions: Sequence[Instants], lag: int, count: int, step_s: float)
 
 def _met(one: Instants, row: int, lag: int) -> tuple[Ints, Ints, Vector]:
     """Return instant of the log, label and level wherever both are known at a lag, shape (N,) each."""
-    slot, at = np.nonzero(one.label >= 0)
-    there = at + one.label_at + lag - one.level_at
-    inside: Bools = (there >= 0) & (there < one.level.shape[1])
-    slot, at, there = slot[inside], at[inside], there[inside]
-    level = one.level[row][there]
+    part = _meeting(one, lag, lag)
+    slot, at = np.nonzero(part.label >= 0)
+    at = at + part.label_at - one.label_at
+    level = one.level[row][at + one.label_at + lag - one.level_at]
     known = np.isfinite(level)
     return at[known], one.label[slot[known], at[known]], level[known]

@@ -10,7 +10,6 @@ be told from the clock: it stays part of the lag.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -157,15 +156,14 @@ class _Moves(NamedTuple):
 
     Attributes:
         told: Number of levels told apart.
-        bound: Which pair of bounds of the level asked for holds at each instant, shape (T,).
-        inside: 1 where a level lies within a pair of bounds, else 0, shape (B, told).
+        low, high: Lowest and highest level that may be asked for at each instant, shape (T,).
         row: Instant of each comparison, shape (C,).
         first, last: Levels of which one is asked for there, shape (C,).
     """
 
     told: int
-    bound: Ints
-    inside: Floats
+    low: Ints
+    high: Ints
     row: Ints
     first: Ints
     last: Ints
@@ -191,13 +189,9 @@ def _moves(levels: Sequence[Vector]) -> _Moves:
         high = np.where(known & (way <= 0), np.where(way < 0, below, near), most)
         turns = np.where(way != 0, way, np.sign(step) * (np.abs(step) > PERCENT / 2.0)).astype(int)
         row, first, last = _compared(low, high, turns, most)
-        found.append((low * len(states) + high, row + begin, first, last))
+        found.append((low, high, row + begin, first, last))
         begin += len(level)
-    both, *compared = (np.concatenate(part) for part in zip(*found, strict=True))
-    bounds, bound = np.unique(both, return_inverse=True)
-    level_of = np.arange(len(states))
-    inside = (bounds[:, None] // len(states) <= level_of) & (level_of <= bounds[:, None] % len(states))
-    return _Moves(len(states), bound, inside.astype(float), *compared)
+    return _Moves(len(states), *(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
 def _rate(steps: Vector) -> float:
@@ -256,25 +250,31 @@ def _at_least(people: Ints, robot: Ints, fold: Ints, moves: _Moves) -> Floats:
 
     It is that of the person who asks for least, known from the other folds.
     """
+    count = moves.told
     slot, at = np.nonzero(people >= 0)
     _, place = np.unique(people[slot, at], return_inverse=True)
     robot = np.unique(robot, return_inverse=True)[1]
     pairs, pair = np.unique(place * (int(robot.max()) + 1) + robot[at], return_inverse=True)
     of_pair = pairs // (int(robot.max()) + 1)
-    first = np.flatnonzero(np.diff(of_pair, prepend=-1))  # the first pair of each place
     number = np.full(people.shape, len(pairs))  # nobody known
     number[slot, at] = pair
-    shape = FOLDS, len(pairs), len(moves.inside)
-    kind = np.ravel_multi_index((fold[at], pair, moves.bound[at]), shape)
-    seen = np.bincount(kind, minlength=math.prod(shape)).reshape(shape).astype(float)
-    found = np.empty((moves.told + 1, len(moves.row)))
-    for one, others in enumerate(seen.sum(axis=0) - seen):
-        mine = np.flatnonzero(fold[moves.row] == one)
-        even = np.full((1, moves.told), 1.0 / moves.told)
-        anywhere = _shares(others.sum(axis=0, keepdims=True), moves.inside, even)
-        here = _shares(np.add.reduceat(others, first), moves.inside, anywhere)
-        shares = np.concatenate([_shares(others, moves.inside, here[of_pair]), anywhere])
-        least = np.zeros((len(shares), moves.told + 1))
+    kinds, times = np.unique(
+        ((fold[at] * len(pairs) + pair) * count + moves.low[at]) * count + moves.high[at], return_counts=True
+    )
+    kind_fold, kind, low, high = (
+        kinds // count**2 // len(pairs),
+        kinds // count**2 % len(pairs),
+        kinds // count % count,
+        kinds % count,
+    )
+    found = np.empty((count + 1, len(moves.row)))
+    for one in range(FOLDS):
+        others, mine = kind_fold != one, np.flatnonzero(fold[moves.row] == one)
+        bounds = low[others], high[others], times[others]
+        anywhere = _shares(np.zeros(int(others.sum()), int), *bounds, np.full((1, count), 1.0 / count))
+        here = _shares(of_pair[kind[others]], *bounds, np.repeat(anywhere, int(place.max()) + 1, axis=0))
+        shares = np.concatenate([_shares(kind[others], *bounds, here[of_pair]), anywhere])
+        least = np.zeros((len(shares), count + 1))
         least[:, :-1] = np.cumsum(shares[:, ::-1], axis=1)[:, ::-1]
         cells = number[:, moves.row[mine]]
         somebody = (cells < len(pairs)) | (cells == len(pairs)).all(axis=0)
@@ -282,17 +282,18 @@ def _at_least(people: Ints, robot: Ints, fold: Ints, moves: _Moves) -> Floats:
     return found
 
 
-def _shares(seen: Floats, inside: Floats, before: Floats) -> Floats:
-    """Return how often each level is asked for at each of P places, shape (P, told), by expectation steps.
-
-    Args:
-        seen: How often each pair of bounds was seen there, shape (P, B).
-        inside: 1 where a level lies within a pair of bounds, else 0, shape (B, told).
-        before: What is known without the place, shape (P, told) or (1, told).
-    """
-    shares, rows = before, seen.sum(axis=1, keepdims=True)
+def _shares(place: Ints, low: Ints, high: Ints, times: Ints, before: Floats) -> Floats:
+    """Return how often each level is asked for at each place, shape (P, count), from bounds: by expectation steps."""
+    places, width = len(before), before.shape[1] + 1
+    rows = np.bincount(place, times, places)[:, None]
+    begin, end = place * width + low, place * width + high + 1
+    shares = before
     for _ in range(STEPS):
-        expected = shares * ((seen / (shares @ inside.T)) @ inside)
+        below = np.zeros((places, width))
+        np.cumsum(shares, axis=1, out=below[:, 1:])
+        each = times / (below.ravel()[end] - below.ravel()[begin])
+        inside = np.bincount(begin, each, places * width) - np.bincount(end, each, places * width)
+        expected = shares * np.cumsum(inside.reshape(places, width), axis=1)[:, :-1]
         shares = (expected + SPREAD * before) / (rows + SPREAD)
     return shares
 

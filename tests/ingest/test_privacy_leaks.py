@@ -241,8 +241,12 @@ PLANTED = (
 )  # fmt: skip
 
 
+DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
+"""A checksum, some with a random key: about one in two hundred ingests has a year in one of them by chance."""
+
+
 def planted_in(text: str) -> set[str]:
-    return {word for word in PLANTED if word in text.lower()}
+    return {word for word in PLANTED if word in DIGEST.sub("", text.lower())}
 
 
 @pytest.fixture(scope="module")

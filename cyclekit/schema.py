@@ -206,6 +206,7 @@ TASKS: Mapping[str, Column] = {
     "lost_pause_s": Column(F64, "s", "time in which the program was paused or stopped"),
     "lost_stop_s": Column(F64, "s", "standstill between places without a person near: protective stop"),
     "lost_unknown_s": Column(F64, "s", "time lost to speed scaling of unknown cause"),
+    "cut": Column(FLAG, "", "the robot stood at least so long: the log or the execution ends; null = unknown"),
 }
 """One row per executed task. For a task found in the robot's motion, nominal + lost slider + safety loss + dwell + wait
 = end - start. Safety loss is the sum of lost person, input, limits, stop and unknown; wait is the sum of lost wait and
@@ -228,6 +229,7 @@ ADDED_TO_TASKS: Mapping[str, str | None] = {
     "went_on_s": None,
     "waited_for": None,
     **{f"lost_{cause}_s": None for cause in LOST_CAUSES},
+    "cut": None,
 }
 """Columns that datasets of earlier versions lack, and their default values."""
 

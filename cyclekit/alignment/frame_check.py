@@ -166,7 +166,7 @@ def propose_frame(rows: LevelRows, changes: ChangeRows, *, near: bool = False) -
     """
     if len(rows.level) < MIN_SAMPLES or len(np.unique(rows.level)) < 2 or len(changes.kind) < MIN_CHANGES:
         return None
-    middle_m = np.nanmean(rows.people_m, axis=(0, 1))[:2]
+    middle_m = np.nanmean(rows.people_m[..., :2], axis=(0, 1))  # heights may be unknown
     present = np.zeros((1, 4))
     known = np.all(np.isfinite(changes.people_m), axis=3)
     heights = bool(np.all(np.any(known, axis=2)))

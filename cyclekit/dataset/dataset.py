@@ -276,16 +276,14 @@ class Dataset:
         return self.every_task().filter(pl.col("start_place").is_not_null())
 
     def uninterrupted_tasks(self) -> pl.DataFrame:
-        """Return `tasks` without those of interrupted executions and those whose process the end of a log cuts.
+        """Return `tasks` without those of interrupted executions; tasks that no other execution has stay."""
+        stopped = [one.execution for one in self.card.executions if one.interrupted_s]
+        return _unless(pl.col("execution").is_in(stopped), self.tasks())
 
-        Tasks that no other execution has stay.
-        """
-        stopped, cut = (
-            pl.col("execution").is_in([one.execution for one in self.card.executions if of(one)])
-            for of in (lambda one: one.interrupted_s, lambda one: not one.complete)
-        )
-        whole = ~stopped & ~(cut & (pl.col("index") == pl.col("index").max().over("execution")))
-        return self.tasks().filter(whole | ~whole.any().over("task"))
+    def whole_tasks(self) -> pl.DataFrame:
+        """Return `uninterrupted_tasks` without those that the end of a log cuts; tasks that no other log has stay."""
+        partly = pl.col("execution").is_in([one.execution for one in self.card.executions if not one.complete])
+        return _unless(partly & pl.col("cut").fill_null(value=False), self.uninterrupted_tasks())
 
     def every_task(self) -> pl.DataFrame:
         """Return one row per task of either agent, found in motion or from a task list (table TASKS)."""
@@ -390,3 +388,8 @@ class Dataset:
             cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It has no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
         return by_name[name]
+
+
+def _unless(left_out: pl.Expr, tasks: pl.DataFrame) -> pl.DataFrame:
+    """Return tasks without some; where these are all of a kind, they stay."""
+    return tasks.filter(~left_out | left_out.all().over("task"))

@@ -276,7 +276,7 @@ def _task_rows(name: str, tasks: Sequence[ExecutedTask]) -> list[tuple[object, .
             name, index, f"{task.start_place}->{task.goal_place}", task.start_place, task.goal_place, task.start_s,
             task.arrival_s, task.end_s, task.nominal_s, task.safety_loss_s, task.dwell_s, task.wait_s,
             "robot", None, None, None, None, task.reached_s, task.went_on_s, None,
-            None, task.slider_loss_s, None, None, task.wait_s - task.pause_s, task.pause_s, None, None,
+            None, task.slider_loss_s, None, None, task.wait_s - task.pause_s, task.pause_s, None, None, task.cut,
         )
         for index, task in enumerate(tasks)
     ]  # fmt: skip

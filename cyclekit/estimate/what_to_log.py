@@ -169,7 +169,7 @@ def _half_width(dataset: Dataset) -> tuple[int, float | None]:
     whole = dataset.executions.filter("complete").select("execution", "duration_s")
     if whole.height < 2:
         return whole.height, None
-    took_s = dataset.uninterrupted_tasks().with_columns(took_s=pl.col("end_s") - pl.col("start_s"))
+    took_s = dataset.whole_tasks().with_columns(took_s=pl.col("end_s") - pl.col("start_s"))
     usual_s = took_s.with_columns(usual_s=pl.col("took_s").mean().over("task")).group_by("execution")
     beside = whole.join(usual_s.agg(pl.col("usual_s").sum()), on="execution", how="left")
     spreads = (whole["duration_s"].std(), (beside["duration_s"] - beside["usual_s"]).drop_nulls().std())

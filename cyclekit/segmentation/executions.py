@@ -43,11 +43,12 @@ class Visit:
 
 @dataclass(frozen=True)
 class Execution:
-    """Consecutive visits of one run that form one execution of the process."""
+    """Consecutive visits of one run that form one execution of the process; `cut`: the end of the log cuts it."""
 
     run: int
     visits: tuple[Visit, ...]
     complete: bool
+    cut: bool = False
 
 
 def find_visits(stops: Sequence[Standstill], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:
@@ -83,7 +84,8 @@ def find_executions(
     """Split the visits of each run into executions by the rule of the cell file.
 
     An execution goes from the departure at its first visit to the arrival at its last; consecutive ones share a visit.
-    It is complete, unless it was split by home but does not start and end there.
+    It is complete, unless executions are split by home, or half of the logs begin and end there, and it does not: one
+    that ends elsewhere is cut by the end of the log.
 
     Args:
         visits: Visits of each run, in order.
@@ -99,13 +101,15 @@ def find_executions(
     firsts = [seen[0].place for seen in visits if seen]
     named = HOME if any(visit.place == HOME for seen in visits for visit in seen) else None
     home = how.home or named or max(sorted(set(firsts)), key=firsts.count, default="")
+    walked = [seen for seen in visits if len(seen) > 1]
+    returned = sum(seen[0].place == home == seen[-1].place for seen in walked)
     found = []
     for number, (seen, marked) in enumerate(zip(visits, marks, strict=True)):
         cuts = _begins(seen, how, home, marked)
+        by_home = how.begin in {"auto", "home"} and (len(cuts) > 2 or 2 * returned >= len(walked) > 0)
         for a, b in pairwise(cuts):
-            by_home = how.begin in {"auto", "home"} and len(cuts) > 2
-            whole = not by_home or (seen[a].place == home and seen[b].place == home)
-            found.append(Execution(number, tuple(seen[a : b + 1]), whole))
+            begun, ended = (not by_home or seen[at].place == home for at in (a, b))
+            found.append(Execution(number, tuple(seen[a : b + 1]), begun and ended, not ended))
     return found
 
 

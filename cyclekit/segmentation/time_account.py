@@ -36,7 +36,8 @@ class ExecutedTask:
     """One executed task, all times in session seconds; see table TASKS of `schema` for the split.
 
     `wait_s` includes `pause_s`, the time in which the program was paused or stopped, and the wait short of the goal,
-    from `reached_s` to `went_on_s`; these are None without such a waiting position, or after a stop there.
+    from `reached_s` to `went_on_s`; these are None without such a waiting position, or after a stop there. `cut`: the
+    robot stood at least so long, as the log or the execution ends.
     """
 
     start_place: str
@@ -52,18 +53,23 @@ class ExecutedTask:
     pause_s: float
     reached_s: float | None = None
     went_on_s: float | None = None
+    cut: bool = False
 
 
 def time_account(
     run: Run, execution: Execution, standstills: PlaceStandstills, dwells: Mapping[str, Dwell]
 ) -> list[ExecutedTask]:
-    """Return the tasks of one execution, in order, without gaps between them."""
+    """Return the tasks of one execution, in order, without gaps between them.
+
+    It ends with the process at its last place; if the end of the log cuts it, with the log: the robot stood at least so
+    long.
+    """
     visits = execution.visits
     mine = [standstills[execution.run, visit.first, visit.last] for visit in visits]
     tasks = []
     departure, home = mine[0].left_s, visits[0].place
     for number, (before, visit) in enumerate(pairwise(visits), 1):
-        final, standstill = visit is visits[-1], mine[number]
+        final, standstill = visit is visits[-1] and not execution.cut, mine[number]
         lasts_s = 0.0 if final else standstill.lasts_s
         process = dwells.get(visit.place, Dwell(lasts_s, lasts_s)).of(execution)
         usual, most = process.usual_s, process.max_s
@@ -92,6 +98,7 @@ def time_account(
                 pause_s=motion.paused_s + min(wait, paused_time(run, arrival, arrival + stood)),
                 reached_s=short.reached_s if short is not None and not short.halted else None,
                 went_on_s=short.went_on_s if short is not None and not short.halted else None,
+                cut=final or visit.last == run.rows - 1,
             )
         )
         departure = arrival + dwell + wait

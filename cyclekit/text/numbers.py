@@ -55,8 +55,11 @@ def compact(value: float | None, digits: int = 4) -> str:
 
 
 def given(value: float) -> str:
-    """Write a number that somebody chose, without trailing zeros: 95, 27.5, 1e-05 as 0.00001; at most six digits."""
-    return compact(value, 6)
+    """Write a number that somebody chose, without trailing zeros: 95, 27.5, 1e-05 as 0.00001; at most six digits.
+
+    What is no number is shown as it was given: nan, inf.
+    """
+    return compact(value, 6) if math.isfinite(value) else str(float(value))
 
 
 def scientific(value: float | None, decimals: int = 2) -> str:

@@ -61,6 +61,16 @@ def test_a_forgotten_frame_is_proposed(in_space: bool, noise_m: float):
     assert found.xyz_m == pytest.approx((1.6, -0.9, 0.4 if in_space else 0.0), abs=0.05)
 
 
+def test_a_frame_is_proposed_of_a_tracker_without_heights():
+    rows, changes = scene(1)
+    here, then = (seen_from(POSE, one.people_m) for one in (rows, changes))
+    here[..., 2] = then[..., 2] = np.nan
+    without = LevelRows(rows.tcp_m, here, rows.level), ChangeRows(changes.tcp_m, then, changes.kind)
+    found = propose_frame(*without)
+    assert found is not None
+    assert found.xyz_m[:2] == pytest.approx((1.6, -0.9), abs=0.05)
+
+
 def test_the_right_frame_is_left_alone():
     assert proposed(1, np.zeros(4)) is None
 

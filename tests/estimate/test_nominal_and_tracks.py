@@ -259,6 +259,25 @@ def test_an_estimate_of_both_agents_uses_no_execution_without_an_operator(hand_m
     assert "in 1 of 2 executions no operator was seen: they are not used" in said
 
 
+@pytest.mark.parametrize("executions", [20, pytest.param(60, marks=pytest.mark.slow)])
+def test_waits_that_the_ends_of_logs_cut_are_as_long_as_they_are(tmp_path: Path, robot_log: Any, executions: int):
+    """One file each; the robot waits 1 to 30 s at a place; the recorder of half of them stops at any time."""
+    rng, waits_s = np.random.default_rng(0), list[float]()
+    for number in range(executions):
+        mine = [1.0 + min(rng.exponential(8.0), 29.0) for _ in range(2)]
+        there = [step for s in mine for step in (("move", 0.5), ("stand", 0.6), ("move", 1.0), ("stand", s))]
+        doing = [("stand", 1.0), *there, ("move", 0.0), ("stand", 0.5)]
+        log = robot_log(tmp_path / "logs" / f"{number:03d}.csv", doing)
+        waits_s += mine
+        if number % 2:
+            lines = log.read_bytes().splitlines(keepends=True)
+            log.write_bytes(b"".join(lines[: round(rng.uniform(4.0, 40.0) * 125.0)]))
+    ingest([tmp_path / "logs"], tmp_path / "dataset")
+    dataset = Dataset.open(tmp_path / "dataset")
+    task = next(one for one in nominal_tasks(dataset).values() if one.standstill_s.max() > 5.0)
+    assert task.dwell_s + task.wait_s == pytest.approx(np.mean(waits_s), rel=0.05)
+
+
 def test_a_process_that_the_end_of_a_log_cuts_does_not_make_processes_short(tmp_path: Path):
     """The log ends 0.2 s after the robot has reached a place, where its process takes a second."""
     logs = tmp_path / "logs"

@@ -56,7 +56,7 @@ def test_executions_of_different_work_say_nothing_of_the_spread() -> None:
     rows = [(str(n), f"task {k}", 0.0, s) for n, tasks in enumerate(took_s) for k, s in enumerate(tasks)]
     tasks = pl.DataFrame(rows, schema=["execution", "task", "start_s", "end_s"], orient="row")
     executions = tasks.group_by("execution").agg(duration_s=pl.col("end_s").sum(), complete=pl.lit(True))
-    dataset = cast("Dataset", SimpleNamespace(executions=executions, uninterrupted_tasks=lambda: tasks))
+    dataset = cast("Dataset", SimpleNamespace(executions=executions, whole_tasks=lambda: tasks))
     count, half = _half_width(dataset)
     assert count == 16
     assert half == pytest.approx(1.96 * 0.235 / 4.0 / 15.0, rel=0.1)  # by durations alone it were 0.17
@@ -118,7 +118,7 @@ def stand_in(orders: list[tuple[str, ...]], *, inferred: bool = True) -> Dataset
     executions = [SimpleNamespace(complete=True, whole=True, places=order) for order in orders]
     durations = pl.DataFrame({"execution": ["0", "1"], "complete": [True, True], "duration_s": [10.0, 10.0]})
     tasks = pl.DataFrame(rows)
-    found = {"tasks": lambda: tasks, "uninterrupted_tasks": lambda: tasks, "require_positions": lambda: None,
+    found = {"tasks": lambda: tasks, "whole_tasks": lambda: tasks, "require_positions": lambda: None,
              "executions": durations, "positions": ("robot",), "holds_task_lists_alone": False}  # fmt: skip
     return cast("Dataset", SimpleNamespace(**found, card=SimpleNamespace(executions=executions, places=places)))
 

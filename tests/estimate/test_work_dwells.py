@@ -106,8 +106,8 @@ def rows(cycles: Sequence[tuple[Sequence[str], dict[str, float]]]) -> Any:
         cards.append(SimpleNamespace(execution=str(number), places=tuple(places), whole=True))
         for start, goal in pairwise(places):
             stand = dwell_s.get(goal, 1.0) + 0.01 * (number % 3)
-            table.append((str(number), f"{start}->{goal}", goal, 1.0, stand, 0.0))
-    names = ["execution", "task", "goal_place", "nominal_s", "dwell_s", "wait_s"]
+            table.append((str(number), f"{start}->{goal}", goal, 1.0, stand, 0.0, False))
+    names = ["execution", "task", "goal_place", "nominal_s", "dwell_s", "wait_s", "cut"]
     frame = pl.DataFrame(table, names, orient="row")
     return SimpleNamespace(tasks=lambda: frame, card=SimpleNamespace(executions=cards))
 

@@ -124,7 +124,7 @@ def test_a_part_comes_a_gap_after_the_one_before_if_there_is_room() -> None:
     assert rolled.decides[0].tolist() == [-3, -1, -1, -1, -1, -1]
     (entry,) = estimate_plans(model, [TaskSequence.of_plan("one", plan[:1])], refused=refuse)
     assert entry.plan[0].decided == {"a part": 1.0}
-    assert model.tasks[0].waits_for[1:] == ["a part (10.0 to 10.0 s after the one before; at most 1 wait)"]
+    assert model.tasks[0].waits_for[1:] == ["a part (10.0 s after the one before; at most 1 wait)"]
     without = altered_times(model, Change("without", no_wait=(("load", "part"),)))
     assert roll_plan(without, plan, cycles=1).duration_s == pytest.approx([36.0])
     with pytest.raises(UnknownName, match="wait 'sort for part'"):

@@ -228,6 +228,31 @@ def test_the_last_execution_of_an_endless_recording_that_was_cut_is_not_complete
     assert found.executions["complete"].to_list() == [True, True, False]
 
 
+def test_a_wait_that_the_end_of_a_log_cuts_is_as_long_as_it_is_known(tmp_path: Path, robot_log: Any):
+    """Two logs of three end at home; one ends as the robot has stood 9 s at a place whose process takes a second."""
+    cycle = [
+        ("stand", 1.0),
+        ("move", 0.4),
+        ("stand", 0.6),
+        ("move", 1.0),
+        ("stand", 1.0),
+        ("move", 0.0),
+        ("stand", 5.0),
+    ]
+    for number in range(3):
+        doing = cycle if number < 2 else [*cycle[:4], ("stand", 9.0)]
+        robot_log(tmp_path / "logs" / f"run_{number}.csv", doing)
+    found = made_of(tmp_path, tmp_path / "logs")
+    assert found.executions["complete"].to_list() == [True, True, False]
+    home, waited = (found.tasks().row(at, named=True) for at in (2, -1))
+    assert (home["cut"], home["dwell_s"], home["wait_s"]) == (True, 0.0, 0.0)  # what follows a cycle is none of it
+    assert waited["cut"]
+    assert waited["dwell_s"] == pytest.approx(1.0, abs=0.05)
+    assert waited["wait_s"] == pytest.approx(8.0, abs=0.05)
+    assert found.card.executions[-1].end_s - waited["arrival_s"] == pytest.approx(9.0, abs=0.05)
+    assert found.tasks()["cut"].sum() == 3  # a task that was left is whole, though no other follows
+
+
 def test_a_silence_of_the_log_separates_executions(boxes: SimulatedCell, tmp_path: Path):
     told = load_cell(boxes.logs / "cell.toml")
     pauses = (boxes.executions["start_s"][1:] - boxes.executions["end_s"][:-1]).to_list()

@@ -94,6 +94,8 @@ def test_a_share_is_all_or_nothing_only_if_it_is(share: float, decimals: int | N
         (numbers.signed_percent, -0.0001, "0.0 %"),
         (numbers.given, 27.5, "27.5"),
         (numbers.given, 95.0, "95"),
+        (numbers.given, math.nan, "nan"),
+        (numbers.given, -math.inf, "-inf"),
         (numbers.compact, 500.0, "500"),
         (numbers.error_text, 3.19e-4, "3.19 · 10⁻⁴"),
         (numbers.seconds, 9.994, "9.99 s"),

@@ -10,7 +10,7 @@ from msgspec import Meta, field
 from cyclekit.dataset.cards.coupling import refuse_circles
 from cyclekit.dataset.cards.notes import Note
 from cyclekit.dataset.cards.quantities import Card, Count, Fraction, Lag, Name, Positive, Seconds, Work
-from cyclekit.text.numbers import fixed, percent
+from cyclekit.text.numbers import fixed, percent, span
 
 if TYPE_CHECKING:
     from cyclekit.schema import Ints, Vector
@@ -101,8 +101,8 @@ class PartsCard(Card, frozen=True, kw_only=True):
     @property
     def said(self) -> str:
         """How they come, in words."""
-        low, high = (f"{fixed(float(np.quantile(self.gap_s, level)), 1)}" for level in (0.05, 0.95))
-        return f"a part ({low} to {high} s after the one before; at most {self.buffer} wait)"
+        low_s, high_s = np.quantile(self.gap_s, (0.05, 0.95)).tolist()
+        return f"a part ({span(low_s, high_s, 1)} s after the one before; at most {self.buffer} wait)"
 
 
 class TaskTimesCard(Card, frozen=True, kw_only=True):

@@ -128,7 +128,7 @@ def by_history(dataset: Dataset, program: Program, seed: int = 0) -> Rolled:
     This ignores the effect of the order on task durations, and the correlation of slow tasks.
     """
     rng = np.random.default_rng(seed)
-    tasks = dataset.uninterrupted_tasks().filter(pl.col("safety_loss_s").is_not_null())
+    tasks = dataset.whole_tasks().filter(pl.col("safety_loss_s").is_not_null())
     logged = {str(name): rows for (name,), rows in tasks.group_by(["task"], maintain_order=True)}
     count = HISTORY_DRAWS
     safety, standstills = np.empty((count, len(program.tasks))), np.empty((count, len(program.tasks)))

@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import polars as pl
 
-from cyclekit.estimate.robot.work_dwells import Group, Standstills, either_kind, groups_of, key_of, standstills_by_work
+from cyclekit.estimate.robot.work_dwells import either_kind, groups_of, key_of, standstills_by_work, standstills_in
 from cyclekit.segmentation.arrivals import fill_nearest
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import DatasetCard
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.robot.work_dwells import Group, Standstills
     from cyclekit.schema import Floats, Vector
 
 
@@ -99,12 +100,8 @@ def _read(dataset: Dataset, wanted: Collection[str] | None) -> dict[str, Nominal
         return {}
     if wanted is not None and set(tasks["task"]).issuperset(wanted):
         tasks = tasks.filter(pl.col("task").is_in(list(wanted)))
-    means = tasks.group_by("task").agg(
-        nominal_s=pl.col("nominal_s").median() / usual_slider(dataset),
-        dwell_s=pl.col("dwell_s").mean(),
-        wait_s=pl.col("wait_s").mean(),
-        standstill_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
-    )
+    means = tasks.group_by("task").agg(nominal_s=pl.col("nominal_s").median() / usual_slider(dataset))
+    own = {name: standstills_in(rows) for (name,), rows in tasks.group_by(["task"])}
     slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
     best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
     found, by_work = {}, standstills_by_work(dataset)
@@ -114,8 +111,7 @@ def _read(dataset: Dataset, wanted: Collection[str] | None) -> dict[str, Nominal
         for row in rows.iter_rows(named=True):
             path = _undo_scaling(track, row["start_s"], row["arrival_s"], row["nominal_s_all"])
             groups = by_work.get(row["task"], {})
-            own = Standstills(row["dwell_s_all"], row["wait_s_all"], np.array(row["standstill_s"]))
-            stands = either_kind(groups) or own
+            stands = either_kind(groups) or own[row["task"]]
             found[row["task"]] = NominalTask(
                 task=row["task"],
                 xyz_m=path,

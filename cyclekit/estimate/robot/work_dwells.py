@@ -24,6 +24,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.estimate.statistics.same_work import Work, work_of
+from cyclekit.learning.censored import whole_rows
 from cyclekit.segmentation.rank_test import by_chance
 from cyclekit.text.numbers import fixed
 
@@ -124,7 +125,7 @@ def _by_group(
             group = group_of(int(str(number)), executions)
             for task in there["task"].unique(maintain_order=True):
                 own = mine.filter(pl.col("task") == task)
-                found.setdefault(task, {})[group] = _standstills(own if own.height >= MIN_EXECUTIONS else mine)
+                found.setdefault(task, {})[group] = standstills_in(own if own.height >= MIN_EXECUTIONS else mine)
     return found
 
 
@@ -244,7 +245,7 @@ def _by_kind(dataset: Dataset, rows: pl.DataFrame) -> dict[str, dict[Group, Stan
         pure = _of_one_kind(of, orders)
         for mine in {place, *_differing(grouped, by="stand")}:
             of_kind = grouped.filter(pl.col("goal_place") == mine).partition_by("group", as_dict=True)
-            stands = {kind: _standstills(some) for (kind,), some in sorted(of_kind.items())}
+            stands = {kind: standstills_in(some) for (kind,), some in sorted(of_kind.items())}
             groups: dict[Group, Standstills] = {
                 StandstillKind(sum(1 for one in of.values() if one == kind), kind): one for kind, one in stands.items()
             }
@@ -319,6 +320,17 @@ def _kinds(stand_s: Vector) -> Ints | None:
     return kind
 
 
-def _standstills(rows: pl.DataFrame) -> Standstills:
+def standstills_in(rows: pl.DataFrame) -> Standstills:
+    """Return the standstills of some tasks.
+
+    What is `cut` lasted at least so long; what is then longer than all others may be the end of work, and counts as the
+    longest of them.
+    """
     dwell_s, wait_s = rows["dwell_s"].to_numpy(), rows["wait_s"].fill_null(0.0).to_numpy()
-    return Standstills(float(dwell_s.mean()), float(wait_s.mean()), np.sort(dwell_s + wait_s))
+    stands_s, cut = dwell_s + wait_s, rows["cut"].fill_null(value=False).to_numpy()
+    if not cut.all():
+        longest_s = float(stands_s[~cut].max())
+        row = whole_rows(np.where(cut, np.minimum(stands_s, longest_s), stands_s), cut)
+        dwell_s, stands_s = np.minimum(dwell_s[row], longest_s), np.minimum(stands_s[row], longest_s)
+        wait_s = stands_s - dwell_s
+    return Standstills(float(dwell_s.mean()), float(wait_s.mean()), np.sort(stands_s))

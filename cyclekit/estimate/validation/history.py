@@ -62,7 +62,7 @@ class TaskTimes:
         """Read the logged tasks whose motion and scaling are known."""
         other = {entry.execution for entry in dataset.card.executions if entry.reference}
         other |= turned_otherwise(dataset)
-        tasks = dataset.uninterrupted_tasks()
+        tasks = dataset.whole_tasks()
         tasks = tasks.filter(pl.col("safety_loss_s").is_not_null() & ~pl.col("execution").is_in(list(other)))
         took = tasks.select("execution", "task", s=pl.col("end_s") - pl.col("start_s"))
         self.executions = took["execution"].unique(maintain_order=True).to_list()

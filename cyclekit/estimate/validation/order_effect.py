@@ -282,7 +282,7 @@ def _holds_elsewhere(
 def logged_orders(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> tuple[list[tuple[str, ...]], list[Vector]]:
     """Return the tasks of each complete, uninterrupted execution with an operator, and their durations, s."""
     empty = {one.execution for one in dataset.card.executions if one.reference}
-    rows = dataset.uninterrupted_tasks().filter(pl.col("safety_loss_s").is_not_null()).sort("execution", "index")
+    rows = dataset.whole_tasks().filter(pl.col("safety_loss_s").is_not_null()).sort("execution", "index")
     parts = {str(name): part for (name,), part in rows.group_by(["execution"], maintain_order=True)}
     orders, took_s = [], []
     for one in logged_sequences(dataset, nominal):

@@ -218,7 +218,7 @@ def _logged(dataset: Dataset) -> list[PeopleInExecution]:
     bits, scaling = frame["human_signals"].to_numpy(), frame["scaling"].cast(float).fill_null(np.nan).to_numpy()
     lost = np.nan_to_num(1.0 - scaling)
     slow = [bit for bit in np.unique(bits) if lost[bits == bit].mean() > lost.mean()]
-    rows = dataset.uninterrupted_tasks().sort("execution", "index")
+    rows = dataset.whole_tasks().sort("execution", "index")
     parts = {str(name): part for (name,), part in rows.group_by(["execution"], maintain_order=True)}
     reference = {one.execution for one in dataset.card.executions if one.reference or not one.whole}
     found = []

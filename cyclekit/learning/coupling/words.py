@@ -113,8 +113,8 @@ def _trip_line(gate: GateCard, trip: TripCard) -> str:
     return (
         f"operator {AT[gate.at]} {gate.place}: trips to {' or '.join(trip.places)} in "
         f"{percent(trip.waiting)} of his waits "
-        f"and {percent(trip.free)} of the other passages, {fixed(_quantile(took_s, 0.05), 1)} to "
-        f"{fixed(_quantile(took_s, 0.95), 1)} s"
+        f"and {percent(trip.free)} of the other passages, "
+        f"{span(_quantile(took_s, 0.05), _quantile(took_s, 0.95), 1)} s"
     )
 
 

@@ -87,6 +87,10 @@ def confirmed(dataset: Dataset) -> bool:
 
 
 def _clock(dataset: Dataset, model: object) -> Iterator[Finding]:
+    wrong = [(one, said) for one in dataset.recordings for said in one.clock.warnings if said.code in WRONG]
+    if wrong:  # whatever the model: it learned without this log, or with it at wrong times
+        yield Finding("clock", "red", f"{wrong[0][0].shown}: {wrong[0][1].text}")
+        return
     if isinstance(model, OnStates) and not model.card.operator_signals:
         return  # only the robot's own log
     others = [one for one in dataset.recordings if "people" in one.tables or isinstance(model, OnStates)]
@@ -98,9 +102,7 @@ def _clock(dataset: Dataset, model: object) -> Iterator[Finding]:
         if one.clock.method not in BY_THE_LOGS
         and not (shown or (one.clock.test is not None and one.clock.test.certain))
     }
-    if wrong := [said for one in others for said in one.clock.warnings if said.code in WRONG]:
-        yield Finding("clock", "red", wrong[0].text)
-    elif ASSUMED in untested:
+    if ASSUMED in untested:
         text = "the clocks of robot and tracker are assumed to start together, and nothing in the logs confirms it"
         yield Finding("clock", "red", text, GIVE_CLOCK)
     elif methods.intersection(ROUGHLY):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 import polars as pl
 import pytest
@@ -12,12 +13,14 @@ import pytest
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.train import train_model
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import note
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.estimate.operator.tracks import operator_tracks
 from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
 from cyclekit.learning.networks.saved import load_model
+from cyclekit.learning.unseen.fit import learn_unseen
 from cyclekit.learning.unseen.model import NOBODY_SEEN, UnseenOperator
 
 if TYPE_CHECKING:
@@ -67,6 +70,25 @@ def test_a_cell_is_answered_from_the_robots_log_alone(
     assert found.check is not None
     assert found.check.unseen_error > 0.0
     assert (high - low) / 2 > 1.9 * found.check.unseen_error * 0.5 * found.expected_s
+
+
+def test_people_of_another_time_are_named_and_make_the_clock_red(
+    robot_alone: Dataset, unseen: tuple[UnseenOperator, Path], routes: list[tuple[str, ...]]
+) -> None:
+    apart = note("clock-apart", robot="robot.csv", outside=1.0, late="2 h 0 min later")
+    recordings = [
+        msgspec.structs.replace(one, clock=msgspec.structs.replace(one.clock, warnings=(apart,)))
+        if "people" in one.tables
+        else one
+        for one in robot_alone.card.recordings
+    ]
+    card = msgspec.structs.replace(robot_alone.card, recordings=tuple(recordings))
+    dataset = Dataset(robot_alone.path, card)
+    said = [one.text for one in learn_unseen(dataset).card.warnings]
+    assert not any("no log shows people" in text for text in said)
+    assert any("nobody while a robot log runs" in text and "2 h 0 min later" in text for text in said)
+    (found,) = estimate_cycles(unseen[1], dataset, TaskSequence("asked", routes[0]))
+    assert [(one.level, "2 h 0 min" in one.text) for one in found.findings if one.code == "clock"] == [("red", True)]
 
 
 def test_beside_its_own_states_each_execution_takes_as_long_as_logged(

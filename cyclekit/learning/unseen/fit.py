@@ -156,6 +156,16 @@ def _moved(xyz_m: Points, mine: Ints, centres: Points) -> Points:
     return np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], centres)
 
 
+def _why_unseen(dataset: Dataset) -> str:
+    """Return why the positions of the operator are unknown: no log shows people, or none while a robot log runs."""
+    logs = [one for one in dataset.recordings if "people" in one.tables]
+    if not logs:
+        return "no log shows people: the positions of the operator are unknown"
+    clocks = [said.text for one in logs for said in one.clock.warnings]
+    cause = "; ".join(clocks) or "its clock, or the part of the cell that it covers, differs"
+    return f"{logs[0].shown} shows people, but nobody while a robot log runs: {cause}"
+
+
 def _card(dataset: Dataset, levels: tuple[float, ...], courses: dict[str, Course], seed: int) -> TrainingCard:
     every = np.concatenate([one.level for one in courses.values()])
     known = every[every >= 0]
@@ -175,7 +185,7 @@ def _card(dataset: Dataset, levels: tuple[float, ...], courses: dict[str, Course
         levels=tuple(LevelShare(value=value, share=round(part, 6)) for value, part in shares),
         warnings=(
             *notes_of_logs(dataset),
-            note("model-data", text="no log shows people: the positions of the operator are unknown"),
+            note("model-data", text=_why_unseen(dataset)),
         ),
         rate_hz=dataset.rate_hz,
         mean_scaling=float(np.array(levels)[known].mean()),

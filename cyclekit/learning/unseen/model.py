@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 XYZ = ["robot_x_m", "robot_y_m", "robot_z_m"]
 NOBODY_SEEN = (
-    "ROBOT LOG ALONE: no log shows people; the operator's position is unknown, and so is most of the effect of the "
-    "task order"
+    "ROBOT LOG ALONE: no log shows people while a robot log runs; the operator's position is unknown, and so is most "
+    "of the effect of the task order"
 )
 ONE_BIT = (
     "for narrower intervals, log one bit of a scanner, light curtain or door as an input of the robot: it shows when "

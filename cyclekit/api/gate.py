@@ -15,7 +15,7 @@ from cyclekit.estimate.finding import Finding, light_of
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.robot.safety import SafetyModel
 from cyclekit.learning.task_times.saved import TaskTimesModel
-from cyclekit.text.numbers import compact, given, percent
+from cyclekit.text.numbers import compact, given, percent, percent_interval
 from cyclekit.text.results import Result
 
 SHARE, CONFIDENCE = 0.95, 0.95
@@ -88,7 +88,7 @@ class GateVerdict(Result):
         blocking = tuple(finding.shown for finding in one.findings if finding.blocks)
         _, low, high = self._shares(one)
         close = (
-            f"the share may be {percent(low, 1)} to {percent(high, 1)}, and {percent(self.share, 1)} is between: "
+            f"{percent(self.share, 1)} is within the interval of the share, {percent_interval(low, high, 1)}: "
             f"log more executions than these {one.executions}, or ask for another share or confidence"
         )
         return (*blocking, *([close] if low < self.share <= high else []))

@@ -27,7 +27,16 @@ from cyclekit.cli.options import (
     seconds,
 )
 from cyclekit.cli.terminal import Terminal, bullet, table
-from cyclekit.text.numbers import counted, decimals_of, exact_percent, fixed, given, percent, signed_percent
+from cyclekit.text.numbers import (
+    counted,
+    decimals_of,
+    exact_percent,
+    fixed,
+    given,
+    percent,
+    percent_interval,
+    signed_percent,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -204,7 +213,7 @@ def takt_table(found: Sequence[CycleEstimate]) -> str:
     for entry in found:
         if entry.takt_probability is not None:
             share, low, high = entry.takt_probability
-            rows.append([entry.name, percent(share), f"{percent(low)} to {percent(high)}"])
+            rows.append([entry.name, percent(share), percent_interval(low, high)])
     return table(["sequence ", f"within {given(found[0].takt_s or 0.0)} s", "95 % CI"], rows) if rows else ""
 
 

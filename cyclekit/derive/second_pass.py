@@ -211,24 +211,28 @@ def _motions(
 ) -> Iterator[_RobotMotion]:
     """Yield the executions with at least one sample, one at a time to save memory."""
     session = work.session
+    mine = [log for log in session.recordings if log.rows.get("robot") or not work.runs]
+    longest = max(mine, key=lambda log: log.duration_s).sources[0].path
     for number, execution in enumerate(work.executions if work.runs else [None], 1):
         name = f"{session.name}.{number:03d}"
         if execution is None:
-            motion = _RobotMotion(name, False, _times(name, *session.span_s, cell), None, False, [], np.empty((0, 3)))
+            motion = _RobotMotion(
+                name, False, _times(longest, *session.span_s, cell), None, False, [], np.empty((0, 3))
+            )
         else:
             run = work.runs[execution.run]
             tasks = time_account(run, execution, work.standstills, dwells) if execution.visits else []
             ends = (tasks[0].start_s, tasks[-1].end_s) if tasks else (run.time_at(0), run.time_at(run.rows - 1))
-            robot = sampled(run, _times(name, *ends, cell))
+            robot = sampled(run, _times(longest, *ends, cell))
             goals_m = np.array([places[task.goal_place].xyz_m for task in tasks]).reshape(-1, 3)
             motion = _RobotMotion(name, execution.complete, robot.t_s, robot, run.is_inferred, tasks, goals_m)
         if len(motion.t_s):
             yield motion
 
 
-def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
+def _times(log: str, start: float, end: float, cell: Cell) -> Vector:
     if (end - start) * cell.rate_hz > _MAX_SAMPLES:
-        msg = f"{name}: lasts {fixed((end - start) / 86400, 0)} days, more than {count(_MAX_SAMPLES)} samples"
+        msg = f"{log}: lasts {fixed((end - start) / 86400, 0)} days, more than {count(_MAX_SAMPLES)} samples"
         raise EstimateError(msg, cure="Look for a time that jumps ahead with `cyclekit inspect`, or cut the log.")
     return np.asarray(start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz)
 

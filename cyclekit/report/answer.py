@@ -16,7 +16,7 @@ from cyclekit.report import verdict
 from cyclekit.report.figures import charts_of
 from cyclekit.report.tables import ReportTable
 from cyclekit.report.tiles import tile_rows
-from cyclekit.text.numbers import UNKNOWN, fixed, given, interval, percent, seconds
+from cyclekit.text.numbers import UNKNOWN, decimals_of, fixed, given, interval, percent, seconds, span
 from cyclekit.text.plain_text import shown_task
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _best(texts: ReportTexts, best: CycleEstimate, places: int) -> list[str]:
         levels = sorted(best.quantiles_s)
         low, high = best.quantiles_s[levels[0]], best.quantiles_s[levels[-1]]
         share = percent(levels[-1] - levels[0])
-        parts.append(texts("answer.cycles", share=share, low=fixed(low, places), high=fixed(high, places)))
+        parts.append(texts("answer.cycles", share=share, span=span(low, high, places)))
     lost = percent(best.safety_loss_s / best.expected_s) if best.expected_s > 0 else percent(None)
     parts.append(texts("answer.split", safety=fixed(best.safety_loss_s, places), percent=lost))
     worst = best.costliest_task
@@ -139,8 +139,8 @@ def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: S
     if seen.lost_s is not None:
         facts.append(texts("answer.logged_lost", lost=seconds(seen.lost_s), percent=percent(seen.lost_s / mean)))
     if len(durations) > 1:
-        low, high = seconds(float(durations.min())), seconds(float(durations.max()))
-        facts.append(texts("answer.spread", low=low, high=high))
+        ends = float(durations.min()), float(durations.max())
+        facts.append(texts("answer.spread", span=f"{span(*ends, decimals_of(*ends))} s"))
     if takt_s is not None:
         share = percent(float((durations > takt_s).mean()))
         facts.append(texts("answer.logged_takt", share=share, takt=given(takt_s)))

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from cyclekit.plots import colours
 from cyclekit.plots.style import INK, MUTED, tip
 from cyclekit.report.pictures import WIDE_IN
-from cyclekit.text.numbers import fixed, given
+from cyclekit.text.numbers import fixed, given, span
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -57,8 +57,7 @@ def cycle_times(
             text = labels["tip"].format(
                 name=each.name,
                 mean=fixed(each.expected_s, 1),
-                low=fixed(low_s, 1),
-                high=fixed(high_s, 1),
+                span=span(low_s, high_s, 1),
                 safety=fixed(each.safety_loss_s, 1),
             )
             tip(figure, bar, text, each.name)

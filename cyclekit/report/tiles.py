@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from cyclekit.report.verdict import against_today, of_sequence
-from cyclekit.text.numbers import count, fixed, interval, percent
+from cyclekit.text.numbers import count, fixed, interval, percent, percent_interval
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,5 +107,5 @@ def _interval(texts: ReportTexts, found: TaktVerdict, low_s: float, high_s: floa
 def _share(texts: ReportTexts, within: tuple[float, float, float] | None) -> str:
     if within is None:
         return ""
-    share, low, high = map(percent, within)
-    return texts("tiles.within", share=share, low=low.partition(" ")[0], high=high)
+    share, low, high = within
+    return texts("tiles.within", share=percent(share), interval=percent_interval(low, high))

@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING
 from cyclekit.errors import UnknownName
 from cyclekit.estimate.baseline import baseline_of
 from cyclekit.estimate.statistics.same_work import by_work, work_of
-from cyclekit.text.numbers import count, decimals_of, difference, fixed, given, interval, percent, signed_percent
+from cyclekit.text.numbers import (
+    count,
+    decimals_of,
+    difference,
+    fixed,
+    given,
+    interval,
+    percent,
+    percent_interval,
+    signed_percent,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -240,8 +250,8 @@ def _within(texts: ReportTexts, key: str, within: tuple[float, float, float] | N
     """Return the share of cycles within the takt and its interval, as the end of a sentence; empty without a takt."""
     if within is None or takt_s is None:
         return ""
-    share, low, high = map(percent, within)
-    return texts(key, share=share, takt=given(takt_s), low=low.partition(" ")[0], high=high)
+    share, low, high = within
+    return texts(key, share=percent(share), takt=given(takt_s), interval=percent_interval(low, high))
 
 
 def _found(texts: ReportTexts, found: TaktVerdict) -> str:

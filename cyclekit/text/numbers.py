@@ -115,13 +115,26 @@ def percent(fraction: float | None, decimals: int | None = None) -> str:
     if fraction is None or not math.isfinite(fraction):
         return UNKNOWN
     share = 100 * float(fraction)
-    digits = (1 if 0 < abs(share) < 9.95 else 0) if decimals is None else decimals
+    digits = _decimals(fraction, decimals)
     text, least = fixed(share, digits), 10.0**-digits
     if share < 100 and text == fixed(100, digits):
         text = f"over {fixed(100 - least, digits)}"
     if share > 0 and text == fixed(0, digits):
         text = f"under {fixed(least, digits)}"
     return f"{text} %"
+
+
+def percent_interval(low: float, high: float, decimals: int | None = None) -> str:
+    """Write an interval of confidence in per cent, 92 to over 99 %, or `± under 1 %`, like `interval`."""
+    ends = percent(low, decimals), percent(high, decimals)
+    if ends[0] == ends[1] != f"{UNKNOWN} %":
+        digits = _decimals(low, decimals)
+        return f"± under {fixed(10.0**-digits, digits)} %"
+    return f"{ends[0].removesuffix(' %')} to {ends[1]}"
+
+
+def _decimals(fraction: float, decimals: int | None) -> int:
+    return (1 if 0 < abs(fraction) < 0.0995 else 0) if decimals is None else decimals
 
 
 def signed_percent(fraction: float, decimals: int | None = None) -> str:

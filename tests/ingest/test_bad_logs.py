@@ -13,7 +13,7 @@ from cyclekit.adapter import Recording
 from cyclekit.cli import run
 from cyclekit.config import Cell, Source
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import LogError
+from cyclekit.errors import EstimateError, LogError
 from cyclekit.ingest.ingest import ingest
 from cyclekit.ingest.validate.validate import examined
 
@@ -109,3 +109,10 @@ def test_a_log_of_which_no_row_can_be_used_is_not_called_empty(tmp_path: Path) -
     ) as raised:
         ingest([tmp_path / "robot.csv"], tmp_path / "d", cell=Cell(sources=(source,)))
     assert "remove the file" not in str(raised.value)
+
+
+def test_a_trace_of_weeks_alone_is_refused_by_the_name_of_its_file(tmp_path: Path) -> None:
+    rows = [f"{day * 86400 + 5 * k},release,{k % 2}" for day in (0, 23) for k in range(20)]
+    (tmp_path / "plc.csv").write_text("\n".join(["time [s],signal,value", *rows, ""]), encoding="utf-8")
+    with pytest.raises(EstimateError, match=r"^plc\.csv: lasts 23 days, more than 10 000 000 samples"):
+        ingest([tmp_path / "plc.csv"], tmp_path / "d")

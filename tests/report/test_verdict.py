@@ -64,6 +64,8 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     )
     assert found["answer"] == said
     assert found["verdict"]["text"] == said
+    sure = {**given, "what_if": [replace(change, within=(0.99, 0.988, 0.9901))]}
+    assert document(logged, tmp_path, takt_s=30.5, **sure)["answer"].endswith("(95 % CI ± under 1 %).")
     today = found["verdict"]["today"]
     assert (today["executions"], today["mean_s"], today["missed"], today["order"]) == (4, 31.0, 2, list(ROUTE))
     assert today["within"] == pytest.approx([0.5, 0.15, 0.85], abs=0.005)  # Wilson's interval of 2 of 4

@@ -150,3 +150,19 @@ def test_the_script_of_the_page_writes_numbers_in_one_file() -> None:
     for file in (FOLDER / "report" / "play").glob("*.js"):
         if file.name != "numbers.js":
             assert not re.search(r"toFixed|toPrecision|toLocaleString", file.read_text("utf-8")), file.name
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "decimals", "text"),
+    [
+        (0.92, 0.9999, None, "92 to over 99 %"),
+        (0.0, 0.85, None, "0 to 85 %"),
+        (0.988, 0.992, None, "± under 1 %"),
+        (0.9901, 0.9903, 1, "± under 0.1 %"),
+        (0.0501, 0.0502, None, "± under 0.1 %"),
+    ],
+)
+def test_an_interval_of_shares_never_has_two_equal_ends(
+    low: float, high: float, decimals: int | None, text: str
+) -> None:
+    assert numbers.percent_interval(low, high, decimals) == text

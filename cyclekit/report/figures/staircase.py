@@ -10,7 +10,7 @@ from cyclekit.report.figures.figure import Chart, Figure
 from cyclekit.report.light import resting
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
-from cyclekit.text.numbers import UNKNOWN, count, fixed, span, whole_percent
+from cyclekit.text.numbers import UNKNOWN, count, span, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,8 +32,7 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     labels = {key: texts(f"why.{key}") for key in ("logged", "predicted", "distance", "speed")}
     labels["tip"] = texts.section("why")["tip_samples"]
     bands = " ".join(
-        texts("why.band", speed=whole_percent(b.scaling), low=fixed(b.low_m, 2), high=fixed(b.high_m, 2))
-        for b in found.bands
+        texts("why.band", speed=whole_percent(b.scaling), span=span(b.low_m, b.high_m, 2)) for b in found.bands
     )
     levels, alt = page.dataset.levels, texts("why.picture", bands=bands)
     picture = Picture("staircase", alt, lambda width_in: maps.staircase(width_in, found, levels, labels))

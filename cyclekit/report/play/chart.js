@@ -112,11 +112,11 @@ const showNumbers = (entry, before) => {
   part("change").textContent = known && !before.unknown ? apartFrom(entry.expected_s, before.expected_s) : "";
   const [low, , high] = known ? entry.quantiles_s : [];
   const told = {
-    single: known && say("range", { low: fixed(low), high: fixed(high) }),
+    single: known && say("range", { span: span(low, high) }),
     safety: known && say("seconds", { value: fixed(entry.safety_s || 0) }),
     support: known && entry.support !== null && percent(entry.support),
     takt: known && entry.takt
-      && say("within", Object.fromEntries(["share", "low", "high"].map((name, n) => [name, percent(entry.takt[n])]))),
+      && say("within", { share: percent(entry.takt[0]), interval: percentInterval(entry.takt[1], entry.takt[2]) }),
     waits: known && facts.kind !== "robot"
       && state.blocks.map(({ agent }) => say("waits_of", { agent, value: fixed(waitsOf(entry, agent)) }).replaceAll(" ", "\u00a0")).join(", "),
   };
@@ -161,7 +161,7 @@ const lane = (bar, tasks, whole_s) => {
       texts.push(`${words[kind]} ${fixed(seconds)} s`);
     }
     if (task.after) texts.push(say("decided", { task: task.after, share: percent(task.part) }));
-    if (task.ends_s) texts.push(say("ends", { low: fixed(task.ends_s[0]), high: fixed(task.ends_s[1]) }));
+    if (task.ends_s) texts.push(say("ends", { span: span(...task.ends_s) }));
     if (task.logged) texts.push(say("seen", { count: task.logged }));
     const title = `${shown(task.name)}: ${fixed(task.begin)}\u2013${fixed(task.end)} s; ${texts.join("; ")}`;
     for (const piece of mine) piece.title = title;

@@ -284,12 +284,17 @@ const fixed = (value, decimals = 1) => { // no minus before a zero
   return value < 0 && Number(text) ? `\u2212${text}` : text;
 };
 const shownApart = (value, other) => Number(value.toFixed(1)) - Number(other.toFixed(1)); // `difference`
-const percent = (share, decimals = 0 < share && share < 0.0995 ? 1 : 0) => { // only 0 shows as 0 %, and only 1 as 100 %
+const decimalsOf = (share) => (0 < share && share < 0.0995 ? 1 : 0);
+const percent = (share, decimals = decimalsOf(share)) => { // only 0 shows as 0 %, and only 1 as 100 %
   const least = 10 ** -decimals;
   let text = fixed(100 * share, decimals);
   if (share < 1 && Number(text) === 100) text = `over ${fixed(100 - least, decimals)}`;
   if (share > 0 && Number(text) === 0) text = `under ${fixed(least, decimals)}`;
   return `${text}\u00a0%`;
 };
+const span = (low, high) => (fixed(low) === fixed(high) ? fixed(low) : `${fixed(low)} to ${fixed(high)}`);
+const percentInterval = (low, high) => (percent(low) === percent(high)
+  ? `\u00b1 under ${fixed(10 ** -decimalsOf(low), decimalsOf(low))}\u00a0%`
+  : `${percent(low).replace("\u00a0%", "")} to ${percent(high)}`);
 const interval = (low, high) => say(...(fixed(low) === fixed(high) // never two equal ends
   ? ["narrow", { value: fixed(0.1) }] : ["interval", { low: fixed(low), high: fixed(high) }]));

@@ -142,6 +142,7 @@ def _fit(
     log = ClockStart(entry.clock.kind, entry.first_s)
     main = ClockStart(master.clock.kind, master.first_s)
     if entry is master:
+        _check_robot(entry, source)
         return replace(fit_clock(log, main, source, same_log=True), method="own")
     found = None
     if source is not None and source.sync_events:
@@ -168,6 +169,20 @@ def _fit(
     elif any(_is_lost(one, tables.read) for one in (entry, master)):
         plain = _warned("clock-stamps-apart", plain)
     return plain
+
+
+def _check_robot(entry: LogCard, source: Source | None) -> None:
+    """Refuse keys of a robot's own log that say how its clock relates to the robot's, which would be ignored.
+
+    Raises:
+        ConfigError: There is one; clock_offset_s is used where the role says that it is the robot's.
+    """
+    if source is None or "robot" not in entry.tables or entry.shown != source.path:
+        return
+    said = [key for key in CLOCK_KEYS if getattr(source, key) not in (None, ())]
+    if said and (source.role, said) != ("robot", ["clock_offset_s"]):
+        cure = 'Give it to the other log; or clock_offset_s and role = "robot", to set the dates of this robot right.'
+        raise ConfigError(f"{said[0]} is given to the robot's log, whose clock is that of the session", cure=cure)
 
 
 def _warned(code: str, fit: ClockFit) -> ClockFit:

@@ -67,7 +67,7 @@ class Source:
         path: File, folder or glob, relative to the folder of logs.
         adapter: Adapter to use; None = found by content.
         role: robot, people, events or tasks; None = all tables of the log.
-        clock_offset_s: Added to this log's time to get the robot log's time, s; None = unknown.
+        clock_offset_s: Added to this log's time to get the robot log's time, s, or a date (role robot); None = unknown.
         clock_rate: Seconds of the robot log per second of this log.
         sync: Signals that change at the same times in this log and the robot log; the clock is fitted to them.
         sync_events: Alternative to `sync`: times of such events (in this log, in the robot log), s.

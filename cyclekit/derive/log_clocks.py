@@ -54,11 +54,13 @@ if TYPE_CHECKING:
 REACTION_S = (-0.3, 0.8)
 """A lag between these may be the reaction time of the safety function (0.5 s in UR's reduced mode, and a scanner's),
 and contradicts no clock, s."""
+CONTRADICTED = "clock-contradicted"
+"""Code of the note on a clock that is wrong for certain."""
 GRIDS = ((0.0, 0.0), (0.25, 0.5), (0.5, 0.25), (0.75, 0.75))
 """By how many widths of a cell the grids of the refinement are moved along the axes of the floor: a lattice."""
 
 
-class _Part(NamedTuple):
+class ClockPart(NamedTuple):
     """What one session has of a clock: logs, the runs of its robot, and the robot's log."""
 
     logs: tuple[RecordingCard, ...]
@@ -67,21 +69,23 @@ class _Part(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _SameClock:
+class SameClock:
     """Logs of people, or of signals, that share one unknown offset."""
 
-    sessions: tuple[_Part, ...]
+    sessions: tuple[ClockPart, ...]
 
     @property
     def logs(self) -> list[RecordingCard]:
+        """The logs."""
         return [log for part in self.sessions for log in part.logs]
 
     @property
     def of_people(self) -> bool:
+        """Whether they are of people."""
         return "people" in self.logs[0].tables
 
 
-class _Tested(NamedTuple):
+class Tested(NamedTuple):
     """What the logs say about a clock.
 
     `delay_s`: How much later than a reaction what is tested may come in the process, s: nobody can tell such a delay
@@ -94,6 +98,7 @@ class _Tested(NamedTuple):
 
     @property
     def lag_s(self) -> float:
+        """The lag, s."""
         return self.found.lag_s if self.refined is None else self.refined.lag_s
 
     @property
@@ -102,10 +107,14 @@ class _Tested(NamedTuple):
         return STEP_S if self.refined is None else self.refined.bound_s
 
     @property
+    def apart_s(self) -> float:
+        """How far the lag is from every reaction time, its error taken off, s."""
+        return max(REACTION_S[0] - self.lag_s, self.lag_s - REACTION_S[1]) - self.error_s
+
+    @property
     def contradicts(self) -> bool:
         """Whether the clock is wrong for certain: no reaction time lies within the error of the lag."""
-        apart_s = max(REACTION_S[0] - self.lag_s, self.lag_s - REACTION_S[1])
-        return self.found.certain and apart_s > self.error_s + self.delay_s
+        return self.found.certain and self.apart_s > self.delay_s
 
 
 def with_tested_clocks(
@@ -162,10 +171,10 @@ def _in_other_parts(sessions: Sequence[Session], fits: Mapping[str, ClockFit]) -
     return away
 
 
-def _groups(sessions: Sequence[Session], runs: Sequence[Run], sources: Mapping[str, Source | None]) -> list[_SameClock]:
+def _groups(sessions: Sequence[Session], runs: Sequence[Run], sources: Mapping[str, Source | None]) -> list[SameClock]:
     """Return the logs of people and signals to test: stated clocks by source, assumed ones by session and clock."""
-    stated: dict[tuple[str, ...], list[_Part]] = {}
-    alone: list[_SameClock] = []
+    stated: dict[tuple[tuple[str, ...], ...], list[ClockPart]] = {}
+    alone: list[SameClock] = []
     for session in sessions:
         mine = tuple(runs[number] for number in session.runs)
         kinds: dict[tuple[str, ...], list[RecordingCard]] = {}
@@ -177,31 +186,38 @@ def _groups(sessions: Sequence[Session], runs: Sequence[Run], sources: Mapping[s
         for kind, logs in kinds.items():
             spans = sorted(log.span_s for log in logs)
             if kind[0] != ASSUMED:
-                stated.setdefault(kind, []).append(_Part(tuple(logs), mine, robot))
+                stated.setdefault((kind, of_one_kind(robot, sources)), []).append(ClockPart(tuple(logs), mine, robot))
             elif all(before[1] <= after[0] for before, after in pairwise(spans)):
-                alone.append(_SameClock((_Part(tuple(logs), mine, robot),)))
+                alone.append(SameClock((ClockPart(tuple(logs), mine, robot),)))
             else:
-                alone += [_SameClock((_Part((log,), mine, robot),)) for log in logs]
-    return [*(_SameClock(tuple(parts)) for parts in stated.values()), *alone]
+                alone += [SameClock((ClockPart((log,), mine, robot),)) for log in logs]
+    return [*(group for parts in stated.values() for group in of_one_robot(parts)), *alone]
+
+
+def of_one_robot(parts: Sequence[ClockPart]) -> list[SameClock]:
+    """Return parts of sessions as of one clock; alone where robots' logs overlap, which are of several robots."""
+    spans = sorted((part.robot.first_s, part.robot.last_s) for part in parts)
+    apart = all(before[1] <= after[0] for before, after in pairwise(spans))
+    return [SameClock(tuple(parts))] if apart else [SameClock((part,)) for part in parts]
 
 
 def _assumed_together(
-    groups: Sequence[_SameClock], tested: Sequence[_Tested | None], sources: Mapping[str, Source | None]
-) -> list[_SameClock]:
+    groups: Sequence[SameClock], tested: Sequence[Tested | None], sources: Mapping[str, Source | None]
+) -> list[SameClock]:
     """Return the assumed clocks of each source that are not certain alone, as one: devices may be started together."""
-    left: dict[tuple[str, ...], list[_SameClock]] = {}
+    left: dict[tuple[str, ...], list[SameClock]] = {}
     for group, found in zip(groups, tested, strict=True):
         if group.logs[0].clock.method == ASSUMED and not (found is not None and found.found.certain):
             left.setdefault(of_one_kind(group.logs[0], sources), []).append(group)
-    return [_SameClock(tuple(part for one in some for part in one.sessions)) for some in left.values() if len(some) > 1]
+    return [SameClock(tuple(part for one in some for part in one.sessions)) for some in left.values() if len(some) > 1]
 
 
-def _tested(group: _SameClock, *, sources: Mapping[str, Source | None], read: Read, stored: Stored) -> _Tested | None:
+def _tested(group: SameClock, *, sources: Mapping[str, Source | None], read: Read, stored: Stored) -> Tested | None:
     """Return what the logs say about a clock; None if they say nothing."""
-    return _by_people(group, sources, read) if group.of_people else _by_signals(group, read, stored)
+    return _by_people(group, sources, read) if group.of_people else by_signals(group, read, stored)
 
 
-def _by_signals(group: _SameClock, read: Read, stored: Stored) -> _Tested | None:
+def by_signals(group: SameClock, read: Read, stored: Stored) -> Tested | None:
     """Return what the states of signals say about their clock."""
     parts = []
     for logs, runs, robot in group.sessions:
@@ -232,7 +248,7 @@ def _by_signals(group: _SameClock, read: Read, stored: Stored) -> _Tested | None
     if not codes or (found := find_lag(instants(STEP_S))) is None:
         return None
     between = [_usual_interval_s(one) for told, *_ in parts for _, mine in told for one in mine.values()]
-    return _Tested(found, refine_states(instants(FINE_S, found.lag_s), found.lag_s), min(between))
+    return Tested(found, refine_states(instants(FINE_S, found.lag_s), found.lag_s), min(between))
 
 
 def _met_by(
@@ -249,7 +265,7 @@ def _usual_interval_s(one: SignalChanges) -> float:
     return min((float(np.median(times)) for times in apart if len(times)), default=np.inf)
 
 
-def _by_people(group: _SameClock, sources: Mapping[str, Source | None], read: Read) -> _Tested | None:
+def _by_people(group: SameClock, sources: Mapping[str, Source | None], read: Read) -> Tested | None:
     """Return what the place of people says about their clock."""
     seen, coarse = [], []
     for logs, runs, _ in group.sessions:
@@ -275,10 +291,10 @@ def _by_people(group: _SameClock, sources: Mapping[str, Source | None], read: Re
             for number, (rows, at) in enumerate(robots)
         ]
 
-    return _Tested(found, refine_lag([in_cells(moved) for moved in GRIDS], found.lag_s))
+    return Tested(found, refine_lag([in_cells(moved) for moved in GRIDS], found.lag_s))
 
 
-def _fit(log: RecordingCard, tested: _Tested | None, began_s: float, *, asked: bool) -> ClockFit:
+def _fit(log: RecordingCard, tested: Tested | None, began_s: float, *, asked: bool) -> ClockFit:
     """Return the clock of a log, with what the logs say about it; the robot's time begins at `began_s`."""
     clock, assumed = ClockFit.of(log.clock), log.clock.method == ASSUMED
     of_people = "people" in log.tables
@@ -296,16 +312,16 @@ def _fit(log: RecordingCard, tested: _Tested | None, began_s: float, *, asked: b
     values = {"lag_s": lag_s, "error_s": tested.error_s, "explained": found.explained, "next_best": found.next_best}
     line = _line(clock, tested)
     if not of_people:
-        return _warned(clock, "clock-contradicted", offset_s=line.offset_s + began_s, signals=1.0, **values)
+        return _warned(clock, CONTRADICTED, offset_s=line.offset_s + began_s, signals=1.0, **values)
     if not (assumed or asked):
         rate = {} if line.rate == 1.0 else {"rate": line.rate}
         here = {} if found.here is None else {"here": found.here}
-        return _warned(clock, "clock-contradicted", offset_s=line.offset_s + began_s, **values, **rate, **here)
+        return _warned(clock, CONTRADICTED, offset_s=line.offset_s + began_s, **values, **rate, **here)
     code = "clock-by-logs" if found.certain else "clock-by-logs-unsure"
     return replace(line, warnings=(note(code, **values, away_s=found.next_s - found.lag_s),))
 
 
-def _line(clock: ClockFit, tested: _Tested) -> ClockFit:
+def _line(clock: ClockFit, tested: Tested) -> ClockFit:
     """Return the clock with the lag that the logs show."""
     refined = tested.refined or RefinedLag(tested.lag_s, 0.0, 0.0, STEP_S)
     return replace(

@@ -24,12 +24,12 @@ from cyclekit.derive.first_pass import first_pass
 from cyclekit.derive.found_slider import sliders_of, without_slider_loss
 from cyclekit.derive.interruptions import interruption_notes, with_interruptions
 from cyclekit.derive.last_pass import LastPassInput, last_pass
-from cyclekit.derive.log_clocks import with_tested_clocks
 from cyclekit.derive.notes import empty_tracker_notes, input_notes, signal_notes, unseen_notes
 from cyclekit.derive.operator_tasks import operator_tasks
 from cyclekit.derive.over_sessions import Passes, is_much
 from cyclekit.derive.reaction_time import reaction_time
 from cyclekit.derive.robot import numbered, robot_of, with_standstills
+from cyclekit.derive.robot_clocks import with_clocks_tested
 from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.second_pass import SecondPassResult, second_pass
 from cyclekit.derive.set_override.moved import with_moved_overrides
@@ -131,7 +131,7 @@ def derive(
     first_results, told = moved(passes, first_results, sessions)
     robot = robot_of(first_results, sessions, cell, passes.engine, partial(work.at, "speed"))
     robot = robot._replace(warnings=[*told, *robot.warnings])
-    sessions = with_tested_clocks(passes, sessions, robot.runs, sources, read, stored, asked=by_logs)
+    sessions = with_clocks_tested(passes, sessions, robot.runs, sources, read, stored, asked=by_logs)
     to_sample, dwells = with_standstills(passes, sessions, robot)
     sample = partial(second_pass, places=robot.places, sources=sources, read=read, cell=cell, folder=folder)
     files = shared_files(sessions, cell.rate_hz)

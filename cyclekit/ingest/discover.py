@@ -292,6 +292,8 @@ def key_of(log: Log) -> str:
     """
     facts = [str(resolved(log.path)), log.adapter, log.version, repr(options_of(log.source)), schema.SCHEMA_VERSION]
     facts += [repr(log.robot)] if log.robot else []
+    if log.source is not None and log.source.role == "robot":
+        facts += [repr((log.source.clock_offset_s, log.source.clock_rate))]  # its stored times depend on them
     stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(log.path)]
     return hashlib.sha256(json.dumps([facts, stats]).encode()).hexdigest()
 

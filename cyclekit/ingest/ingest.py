@@ -263,9 +263,9 @@ def _build(
     for name, log in copies.items():
         by_id[name] = structs.replace(by_id[name], sources=by_id[log].sources)
     files = {log.shown: log.path for log in wanted.logs}
-    recordings = with_span_notes([by_id[name] for name in (*(one.id for one in read), *copies)], copies, files)
+    recordings = with_span_notes([by_id[name] for name in (*(one.id for one in read), *copies)], copies, files, sources)
     warnings += _copied([by_id[one.id] for one in read])
-    warnings += robots_at_once([by_id[one.id] for one in read])
+    warnings += robots_at_once([by_id[one.id] for one in read], sources)
     if names is not None:
         recordings = take_out(recordings, names, staging, copies)
         warnings = names.notes(warnings)

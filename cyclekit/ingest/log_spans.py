@@ -6,52 +6,40 @@ nothing else would show it: the people are simply not there. The time between th
 
 from __future__ import annotations
 
-from itertools import pairwise, product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
 from cyclekit.alignment.clocks import ASSUMED
+from cyclekit.alignment.spans import HALF, cause_of, overlap, robots_beside, share
 from cyclekit.dataset.cards import note
-from cyclekit.dataset.sessions import OVERLAP_S
+from cyclekit.derive.robot_clocks import WRONG
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from cyclekit.dataset.cards import Note, RecordingCard
+    from cyclekit.alignment.spans import Cause, Span
+    from cyclekit.config import Source
+    from cyclekit.dataset.cards import LogCard, Note, RecordingCard
 
-    Span = tuple[float, float]
-
-HALF = 0.5
-"""Share of the shorter span below which logs hardly overlap: the larger part of it has no counterpart."""
-DAY_S, HALF_HOUR_S, MOST_HOURS = 86400.0, 1800.0, 14.0
-"""A date is in the future of its file from a day on (time zones, and archives that store local times); time zones
-differ by whole or half hours, at most 14 from UTC."""
-EPOCHS = {"counts since 1904 (LabVIEW)": 2082844800.0, "counts since 1900": 2208988800.0, "GPS time": -315964782.0}
-"""Time at 1970 on clocks that count from another date, s; the others fall outside of 2000 to 2099, and are refused."""
-
-
-DATED_S = 9.4e8
-"""Times above it, s, are dates: since 1970 those from 1999 on. No controller runs for 30 years."""
-
-
-class _Cause(NamedTuple):
-    """What may explain the time between two spans: how far the log is late, s, and in words."""
-
-    late_s: float
-    words: str
+DAY_S = 86400.0
+"""A date is in the future of its file from a day on (time zones, and archives that store local times)."""
 
 
 def with_span_notes(
-    recordings: Sequence[RecordingCard], copies: Mapping[str, str], files: Mapping[str, Path]
+    recordings: Sequence[RecordingCard],
+    copies: Mapping[str, str],
+    files: Mapping[str, Path],
+    sources: Mapping[str, Source | None],
 ) -> list[RecordingCard]:
-    """Return the recordings, with a note at the clock of those whose times cannot be those of their session's robot.
+    """Return the recordings, with a note at the clock of those whose times cannot be those of their robot, or robots.
 
     Args:
         recordings: All recordings.
         copies: Id of each recording that is a part of another log, and the id of that one.
         files: File of each log, by its shown path.
+        sources: Section of the cell file for each recording, by id.
     """
     main = {one.session: one for one in recordings if one.clock.method == "own"}
     members: dict[str, list[RecordingCard]] = {}
@@ -59,6 +47,12 @@ def with_span_notes(
         if one is not main[one.session]:
             members.setdefault(copies.get(one.id, one.id), []).append(one)
     noted = {name: found for name, mine in members.items() if (found := _apart(mine, main)) is not None}
+    proven = {one.id for one in recordings for said in one.clock.warnings if said.code == WRONG}
+    for log, robot, cause in robots_beside((one for one in recordings if one.id not in copies), sources):
+        if cause is not None and log.id not in proven:
+            mine, span = (log.first_s, log.last_s), (robot.first_s, robot.last_s)
+            given_s = ((source := sources[log.id]) and source.clock_offset_s) or 0.0
+            noted[log.id] = _note(mine, [robot], [span], given_s, cause, role="robot")
     made = []
     for one in recordings:
         new = [noted[one.id]] if one.id in noted else [*_alone(one, recordings)] if one is main[one.session] else []
@@ -68,19 +62,10 @@ def with_span_notes(
     return made
 
 
-def robots_at_once(logs: Sequence[RecordingCard]) -> list[Note]:
-    """Return a note if robot logs with dates overlap: they are of several robots, which are a dataset each.
-
-    Without a time zone such times count as relative, but those of all robots are probably of the same zone.
-    """
-    robots = [log for log in logs if "robot" in log.tables and (log.clock.kind == "epoch" or log.first_s > DATED_S)]
-    robots.sort(key=lambda log: (log.clock.kind, log.first_s))
-    pairs = [
-        (one, other)
-        for one, other in pairwise(robots)
-        if one.clock.kind == other.clock.kind and other.first_s < one.last_s - OVERLAP_S
-    ]
-    return [note("robots-at-once", one=pairs[0][0].shown, other=pairs[0][1].shown)] if pairs else []
+def robots_at_once(logs: Sequence[LogCard], sources: Mapping[str, Source | None]) -> list[Note]:
+    """Return a note if robot logs with dates overlap: they are of several robots, which are a dataset each."""
+    at_once = (one for one in robots_beside(logs, sources) if one.cause is None)
+    return [note("robots-at-once", one=one.robot.shown, other=one.log.shown) for one in at_once][:1]
 
 
 def _apart(parts: Sequence[RecordingCard], main: Mapping[str, RecordingCard]) -> Note | None:
@@ -90,43 +75,34 @@ def _apart(parts: Sequence[RecordingCard], main: Mapping[str, RecordingCard]) ->
         return None
     robots = [main[one.session] for one in parts]
     spans = [one.span_s for one in robots]
-    found = sum(_overlap(one.span_s, span) for one, span in zip(parts, spans, strict=True))
+    found = sum(overlap(one.span_s, span) for one, span in zip(parts, spans, strict=True))
     if found >= HALF * min(_length(log.span_s), sum(map(_length, spans))):
         return None
-    return _note(log, log.span_s, [robots[0]], spans[:1], log.clock.offset_s + robots[0].first_s)
+    return _note(log.span_s, robots[:1], spans[:1], log.clock.offset_s + robots[0].first_s)
 
 
 def _alone(log: RecordingCard, recordings: Sequence[RecordingCard]) -> Iterable[Note]:
     """Yield a note for a log since 1970 beside robot logs since 1970 of other times, to none of which it belongs."""
     robots = [one for one in recordings if "robot" in one.tables and one.clock.kind == "epoch"]
     if log.clock.kind == "epoch" and "people" in log.tables and "robot" not in log.tables and robots:
-        yield _note(log, (log.first_s, log.last_s), robots, [(one.first_s, one.last_s) for one in robots], 0.0)
+        yield _note((log.first_s, log.last_s), robots, [(one.first_s, one.last_s) for one in robots], 0.0)
 
 
 def _note(
-    log: RecordingCard, mine: Span, robots: Sequence[RecordingCard], spans: Sequence[Span], offset_s: float
+    mine: Span,
+    robots: Sequence[LogCard],
+    spans: Sequence[Span],
+    offset_s: float,
+    cause: Cause | None = None,
+    **told: str | float,
 ) -> Note:
-    cause = _cause(mine, spans)
+    cause = cause or cause_of(mine, spans)
     away_s = [mine[0] - (0.0 if cause is None else cause.late_s) - span[0] for span in spans]
     near = min(range(len(spans)), key=lambda number: abs(away_s[number]))
     late_s = away_s[near] if cause is None else cause.late_s
-    told: dict[str, str | float] = {} if cause is None else {"cause": cause.words, "offset_s": offset_s - late_s}
-    share = _overlap(mine, spans[near]) / max(min(_length(mine), _length(spans[near])), 1e-9)
-    return note("clock-apart", robot=robots[near].shown, outside=1.0 - share, late=_duration(late_s), **told)
-
-
-def _cause(mine: Span, spans: Sequence[Span]) -> _Cause | None:
-    """Return the time zone or epoch with which a log lies best within others, the nearest zone first; None: none."""
-    hours = sorted((n / 2.0 for n in range(-round(2 * MOST_HOURS), round(2 * MOST_HOURS) + 1)), key=abs)
-    found, best = None, HALF
-    for (epoch, late_s), zone in product([("", 0.0), *EPOCHS.items()], hours):
-        late = late_s + zone * 2.0 * HALF_HOUR_S
-        moved = (mine[0] - late, mine[1] - late)
-        share = max(_overlap(moved, span) / max(min(_length(mine), _length(span)), 1e-9) for span in spans)
-        if late and share > best:
-            words = " and ".join(filter(None, (epoch, "another time zone" if zone else "")))
-            found, best = _Cause(late, words), share
-    return found
+    told |= {} if cause is None else {"cause": cause.words, "offset_s": offset_s - late_s}
+    outside = 1.0 - share(mine, spans[near])
+    return note("clock-apart", robot=robots[near].shown, outside=outside, late=_duration(late_s), **told)
 
 
 def _in_future(log: RecordingCard, file: Path | None) -> list[Note]:
@@ -139,10 +115,6 @@ def _in_future(log: RecordingCard, file: Path | None) -> list[Note]:
 
 def _length(span: Span) -> float:
     return span[1] - span[0]
-
-
-def _overlap(one: Span, other: Span) -> float:
-    return max(min(one[1], other[1]) - max(one[0], other[0]), 0.0)
 
 
 def _duration(time_s: float) -> str:

@@ -79,7 +79,7 @@ def test_two_events_far_apart_give_a_rate_that_nothing_checks_and_this_is_said()
 def test_one_event_gives_an_offset_and_a_warning():
     fit = fit_pairs(np.array([5.0]), np.array([105.0]))
     assert (fit.offset_s, fit.rate, fit.events) == (100.0, 1.0, 1)
-    assert "one event" in "; ".join(texts(fit.warnings))
+    assert "on 1 event(s)" in "; ".join(texts(fit.warnings))
 
 
 def test_pairs_in_milliseconds_are_refused():

@@ -157,7 +157,7 @@ def _fit(line: tuple[float, float, float], x: Vector, y: Vector, *, rejected: in
     elif residual > 0.1:
         warnings = (note("clock-events-disagree", residual_s=residual),)
     elif rejected > len(x):
-        warnings = (note("clock-events-alone", events=len(x) + rejected, used=len(x)),)
+        warnings = (note("clock-events-unmatched", events=len(x) + rejected, used=len(x)),)
     return ClockFit("event-pairs", about + offset - rate * about, rate, warnings, residual, len(x), rejected)
 
 

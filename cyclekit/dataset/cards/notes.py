@@ -107,12 +107,9 @@ def _scaling_inferred(values: Mapping[str, Value]) -> str:
 
 
 def _overrides(values: Mapping[str, Value]) -> str:
-    one = values["logs"] == 1
-    return (
-        f"the override of {values['log']} is"
-        if one
-        else f"the overrides of {values['logs']} logs ({values['log']}, …) are"
-    )
+    if values["logs"] == 1:
+        return f"the override of {values['log']} is"
+    return f"the overrides of {values['logs']} logs ({values['log']}, …) are"
 
 
 def _override(values: Mapping[str, Value], conclusion: str) -> str:
@@ -139,12 +136,11 @@ def _in_first_part(values: Mapping[str, Value]) -> str:
 def _clock_apart(values: Mapping[str, Value]) -> str:
     cure = 'give clock_offset_s, or align_clocks = "logs", in cell.toml'
     if "offset_s" in values:
-        cure = f"{values['cause']}? Then give clock_offset_s = {compact(float(values['offset_s']), 10)} in cell.toml"
-    return (
-        f"hardly overlaps {values['robot']}: {percent(float(values['outside']))} of the shorter log lies "
-        "outside the other, "
-        f"and it is {values['late']}; {cure}"
-    )
+        role = 'role = "robot" and ' if "role" in values else ""
+        offset = compact(float(values["offset_s"]), 10)
+        cure = f"{values['cause']}? Then give {role}clock_offset_s = {offset} in cell.toml"
+    outside = f"{percent(float(values['outside']))} of the shorter log lies outside the other"
+    return f"hardly overlaps {values['robot']}: {outside}, and it is {values['late']}; {cure}"
 
 
 def _clock_contradicted(values: Mapping[str, Value]) -> str:
@@ -160,11 +156,6 @@ def _clock_contradicted(values: Mapping[str, Value]) -> str:
         f"{percent(float(values['next_best']))}"
         f"{here}); give clock_offset_s = {fixed(float(values['offset_s']), 2)}{rate}, or {cure}, in cell.toml"
     )
-
-
-def _events(values: Mapping[str, Value]) -> str:
-    many = "one event" if values["events"] == 1 else f"{values['events']} events"
-    return f"its clock is aligned on only {many}, too few to check it: record three or more"
 
 
 UNPROVEN = "waits-unproven"
@@ -239,6 +230,14 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "give clock_offset_s, sync or sees in cell.toml, or log longer"
     ),
     "clock-contradicted": _clock_contradicted,
+    "robot-clock-wrong": (
+        "its clock is not that of {robot}: {lag_s:+.2f} s (to within {error_s:.2f} s) would let {by} agree; "
+        'give role = "robot" and clock_offset_s = {offset_s:.2f} in cell.toml'
+    ),
+    "robot-clock-or-process": (
+        "its signals tell best what {robot} does at {lag_s:+.2f} s, which may be the time that the process takes; "
+        'if it is its clock, give role = "robot" and clock_offset_s = {offset_s:.2f} in cell.toml'
+    ),
     "clock-by-start": (
         "aligned by the time of day of its start: accurate to about a second, so no delay can be read from it"
     ),
@@ -247,9 +246,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "probably because the robot repeats its motion: log a motion that occurs only once, or give sync"
     ),
     "clock-motion-rough": "its motion fits the robot's poorly (correlation {correlation:.2f})",
-    "clock-events-few": _events,
+    "clock-events-few": "its clock is aligned on {events} event(s), too few to check it: record three or more",
     "clock-events-disagree": "the events that align its clock disagree by {residual_s:.2g} s: check the pairs",
-    "clock-events-alone": "only {used} of {events} events align its clock: the others have no match",
     "clock-events-ambiguous": (
         "its events fit the robot's almost as well {away_s:+.2f} s away ({pairs:.0%} as many pairs): "
         "the clock may be off by that; record events at uneven intervals, or give sync_events"

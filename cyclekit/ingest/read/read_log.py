@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import shutil
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -17,6 +17,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.alignment.recording_clocks import RESTART_S
+from cyclekit.alignment.spans import DATED_S
 from cyclekit.dataset.cards import READ, FrameCard, LogCard, SetAside, note
 from cyclekit.dataset.cards.recording import LogClock
 from cyclekit.dataset.rates import Rates
@@ -28,6 +29,7 @@ from cyclekit.ingest.read.tool_point import with_tool_point
 from cyclekit.ingest.registry import adapter_named
 from cyclekit.ingest.validate.validate import examined_parts
 from cyclekit.storage.parquet import TableWriter
+from cyclekit.text.numbers import compact
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -129,6 +131,7 @@ def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, 
     try:
         read = adapter_named(log.adapter).parts(log.path, options)
         for part in examined_parts(with_tool_point(read, log.robot)):
+            part = _on_stated_clock(part, log)
             last = nameless.part(part) if nameless else part
             rows_read += last.rows_read
             for name, frame in last.tables().items():
@@ -156,6 +159,25 @@ def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, 
     if last is None:
         raise LogError(log.path, "holds nothing", cure="Record again, or remove the file.")
     return ReadLog(_card(log, last, written, sources, rows_read, counts), held)
+
+
+def _on_stated_clock(part: Recording, log: Log) -> Recording:
+    """Return a part of a robot's log with the times that the cell file states, which count since 1970 as the others'.
+
+    Raises:
+        LogError: They are no dates.
+    """
+    source = log.source
+    if source is None or source.role != "robot" or source.clock_offset_s is None:
+        return part
+    true_s = pl.col("t_s") * source.clock_rate + source.clock_offset_s
+    tables = {name: frame.with_columns(true_s) for name, frame in part.tables().items() if "t_s" in frame.columns}
+    first_s = min((float(frame["t_s"][0]) for frame in tables.values() if frame.height), default=DATED_S)
+    if first_s < DATED_S:
+        cause = f"clock_offset_s is given to a robot's log, whose times would begin {compact(first_s)} s after 1970"
+        cure = "Give what makes them dates, or give clock_offset_s to the logs beside it instead."
+        raise LogError(log.path, cause, cure=cure)
+    return replace(part, clock="epoch", **tables)  # type: ignore[arg-type]  # the names are those of the fields
 
 
 def _held(written: Mapping[str, _Table]) -> dict[str, pl.DataFrame]:

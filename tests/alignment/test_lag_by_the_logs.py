@@ -63,7 +63,7 @@ def test_the_lag_is_found_wherever_it_is(late_s: float) -> None:
     assert (lag.here is None) == (abs(late_s) > LENGTH_S)
 
 
-def test_weeks_without_a_change_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weeks_without_a_change_cost_nothing_and_leave_the_lag_certain(monkeypatch: pytest.MonkeyPatch) -> None:
     every, weeks, walk, sizes = round(STEP_S / FINE_S), 1_000_000, Walk.of(1), list[int]()
     monkeypatch.setattr(
         explained.fft, "rfft", lambda x, n=None, **k: sizes.append(n or len(x)) or np.fft.rfft(x, n, **k)
@@ -72,7 +72,7 @@ def test_weeks_without_a_change_cost_nothing(monkeypatch: pytest.MonkeyPatch) ->
     waiting = np.full((1, weeks), label[0, 0])
     lag = find_lag([Instants(np.concatenate([waiting, label, waiting], axis=1), 74 - weeks, level, 0)])
     assert lag is not None
-    assert lag.lag_s == -37.0
+    assert (lag.lag_s, lag.certain) == (-37.0, True)
     assert max(sizes) < 100_000
 
 

@@ -120,10 +120,11 @@ def find_lag(sessions: Sequence[Instants], step_s: float = STEP_S) -> FoundLag |
         return None
     best = int(np.argmax(likelihood))
     rivals = _rivals(likelihood, best)
-    mine = stretches(sessions, int(lags[best]), count, step_s)
+    of_robot = sum(one.level.shape[1] for one in sessions) < sum(one.label.shape[1] for one in sessions)
+    mine = stretches(sessions, int(lags[best]), count, step_s, of_robot=of_robot)
     certain = len(mine) > 1 and len(rivals) > 0 and likelihood[best] > 0.0
     for rival in rivals.tolist() if certain else []:
-        better = mine - stretches(sessions, int(lags[rival]), count, step_s)
+        better = mine - stretches(sessions, int(lags[rival]), count, step_s, of_robot=of_robot)
         spread = float(better.std(ddof=1)) / np.sqrt(len(better))
         certain = certain and bool(better.mean() > stdtrit(len(better) - 1, 1.0 - CHANCE) * spread)
     here = np.flatnonzero((lags == 0) & np.isfinite(likelihood))
@@ -235,9 +236,12 @@ def _rivals(likelihood: Vector, best: int) -> Ints:
     return np.asarray(peaks[np.argsort(-rest[peaks], kind="stable")][:RIVALS])
 
 
-def stretches(sessions: Sequence[Instants], lag: int, count: int, step_s: float) -> Vector:
-    """Return the log likelihood of each of some stretches of the log at a lag, shape (S,), with `count` labels."""
-    gain = [np.zeros(one.label.shape[1]) for one in sessions]
+def stretches(sessions: Sequence[Instants], lag: int, count: int, step_s: float, *, of_robot: bool = False) -> Vector:
+    """Return the log likelihood of each of some stretches at a lag, shape (S,), with `count` labels.
+
+    They are those of the log, or of the robot's where that is shorter: of a trace of weeks it would lie in one stretch.
+    """
+    gain = [np.zeros((one.level if of_robot else one.label).shape[1]) for one in sessions]
     for row in range(sessions[0].level.shape[0]):
         pairs = [_met(one, row, lag) for one in sessions]
         label, level = (np.concatenate([pair[part] for pair in pairs]) for part in (1, 2))
@@ -250,8 +254,8 @@ def stretches(sessions: Sequence[Instants], lag: int, count: int, step_s: float)
         rest = max(float(left.mean()), LEAST * variance)
         value = 0.5 * ((level - level.mean()) ** 2 / variance - left / rest + np.log(variance / rest))
         ends = np.cumsum([len(pair[0]) for pair in pairs])[:-1]
-        for mine, pair, values in zip(gain, pairs, np.split(value, ends), strict=True):
-            np.add.at(mine, pair[0], values)
+        for one, mine, pair, values in zip(sessions, gain, pairs, np.split(value, ends), strict=True):
+            np.add.at(mine, pair[0] + (one.label_at + lag - one.level_at if of_robot else 0), values)
     every = np.concatenate(gain)
     stretches = min(STRETCHES, int(len(every) * step_s / STRETCH_S))
     return np.array([part.sum() for part in np.array_split(every, stretches)]) if stretches else np.empty(0)

@@ -233,11 +233,12 @@ def _misfits(
     """Return the negative log likelihood of what is asked for where moves begin, shape (W, L)."""
     window = np.repeat(np.arange(len(windows)), [len(rows) for _, rows in windows])
     wrong = np.zeros((len(windows), len(lags)))
+    robots = [np.concatenate([grid[s].robot[rows - grid[s].robot_at] for s, rows in windows]) for grid in grids]
+    robots = [np.unique(robot, return_inverse=True)[1] for robot in robots]
     for number, lag in enumerate(lags.tolist()):
         chance = np.zeros(len(moves.row))
-        for grid in grids:
+        for grid, robot in zip(grids, robots, strict=True):
             people = [grid[s].people[:, rows - lag - grid[s].people_at] for s, rows in windows]
-            robot = np.concatenate([grid[s].robot[rows - grid[s].robot_at] for s, rows in windows])
             at_least = _at_least(np.concatenate(people, axis=1), robot, window % FOLDS, moves)
             chance += at_least[moves.first, np.arange(len(chance))] - at_least[moves.last + 1, np.arange(len(chance))]
         cost = -np.log(np.maximum(chance / len(grids), LEAST))
@@ -253,33 +254,45 @@ def _at_least(people: Ints, robot: Ints, fold: Ints, moves: _Moves) -> Floats:
     count = moves.told
     slot, at = np.nonzero(people >= 0)
     _, place = np.unique(people[slot, at], return_inverse=True)
-    robot = np.unique(robot, return_inverse=True)[1]
-    pairs, pair = np.unique(place * (int(robot.max()) + 1) + robot[at], return_inverse=True)
-    of_pair = pairs // (int(robot.max()) + 1)
+    cells = int(robot.max()) + 1
+    pairs, pair = np.unique(place * cells + robot[at], return_inverse=True)
     number = np.full(people.shape, len(pairs))  # nobody known
     number[slot, at] = pair
-    kinds, times = np.unique(
-        ((fold[at] * len(pairs) + pair) * count + moves.low[at]) * count + moves.high[at], return_counts=True
-    )
-    kind_fold, kind, low, high = (
-        kinds // count**2 // len(pairs),
-        kinds // count**2 % len(pairs),
-        kinds // count % count,
-        kinds % count,
-    )
+    here = number[:, moves.row]
+    bounds, bound = np.unique((pair * count + moves.low[at]) * count + moves.high[at], return_inverse=True)
+    in_fold = np.bincount(bound * FOLDS + fold[at], minlength=len(bounds) * FOLDS).reshape(-1, FOLDS)
+    of_pair, asked = np.divmod(bounds, count**2)
+    of_place = _together(pairs[of_pair] // cells * count**2 + asked, in_fold)
+    of_all = _together(asked, in_fold)
     found = np.empty((count + 1, len(moves.row)))
     for one in range(FOLDS):
-        others, mine = kind_fold != one, np.flatnonzero(fold[moves.row] == one)
-        bounds = low[others], high[others], times[others]
-        anywhere = _shares(np.zeros(int(others.sum()), int), *bounds, np.full((1, count), 1.0 / count))
-        here = _shares(of_pair[kind[others]], *bounds, np.repeat(anywhere, int(place.max()) + 1, axis=0))
-        shares = np.concatenate([_shares(kind[others], *bounds, here[of_pair]), anywhere])
+        mine = np.flatnonzero(fold[moves.row] == one)
+        used, row = np.unique(np.append(here[:, mine].ravel(), len(pairs)), return_inverse=True)
+        pair_row = np.full(len(pairs), -1)  # of the shares; only those of pairs that are compared are needed
+        pair_row[used[:-1]] = np.arange(len(used) - 1)
+        kept = pair_row[of_pair] >= 0
+        anywhere = _shares(*_others(*of_all, one, count), np.full((1, count), 1.0 / count))
+        at_place = _shares(*_others(*of_place, one, count), np.repeat(anywhere, int(place.max()) + 1, axis=0))
+        key = pair_row[of_pair[kept]] * count**2 + asked[kept]
+        at_pair = _shares(*_others(key, in_fold[kept], one, count), at_place[pairs[used[:-1]] // cells])
+        shares = np.concatenate([at_pair, anywhere])
         least = np.zeros((len(shares), count + 1))
         least[:, :-1] = np.cumsum(shares[:, ::-1], axis=1)[:, ::-1]
-        cells = number[:, moves.row[mine]]
-        somebody = (cells < len(pairs)) | (cells == len(pairs)).all(axis=0)
-        found[:, mine] = np.where(somebody[..., None], least[cells], 1.0).min(axis=0).T
+        rows = row[:-1].reshape(len(here), -1)
+        somebody = (rows < len(used) - 1) | (rows == len(used) - 1).all(axis=0)
+        found[:, mine] = np.where(somebody[..., None], least[rows], 1.0).min(axis=0).T
     return found
+
+
+def _together(keys: Ints, in_fold: Ints) -> tuple[Ints, Ints]:
+    """Return the keys that occur (K,), and how often in each fold, shape (K, FOLDS)."""
+    found, number = np.unique(keys, return_inverse=True)
+    return found, np.stack([np.bincount(number, times, len(found)) for times in in_fold.T], axis=1)
+
+
+def _others(keys: Ints, in_fold: Ints, one: int, count: int) -> tuple[Ints, Ints, Ints, Ints]:
+    """Return place, lowest and highest level of keys, and how often they occur in the other folds."""
+    return keys // count**2, keys // count % count, keys % count, in_fold.sum(axis=1) - in_fold[:, one]
 
 
 def _shares(place: Ints, low: Ints, high: Ints, times: Ints, before: Floats) -> Floats:

@@ -84,8 +84,9 @@ class Recording:
         stamps: Table STAMPS with device time and host time of each message, or None if the log does not hold both.
         clock: `epoch` (s since 1970), `uptime` (since a controller or PC started) or `relative` (since the
             recording began). All tables of one log share it.
-        time_units: Units that its times may have, while it does not tell; the first is the one used. `ingest` proves
-            one by the log's other logs, or refuses. Empty: the unit is known.
+        time_units: Units that its times may have, while it does not tell; the first is the one used. Of several
+            `ingest` proves one by the log's other logs, or refuses; one that is stated, or the default, it compares
+            with them. Empty: the log shows its unit.
         up: Vertical axis of the people's frame: trackers differ ("y" for Motive).
         joint_names: Names of the joints of `q0_rad`, `q1_rad`, ..., in that order.
         rows_are: Unit of `source_row`: a `line` of a text file (from 1, as in editors), a `row` of a binary
@@ -120,6 +121,11 @@ class Recording:
         """Return the tables that are not None, by name."""
         named = {name: getattr(self, name) for name in TABLES}
         return {name: table for name, table in named.items() if table is not None}
+
+    @property
+    def time_open(self) -> bool:
+        """Whether the unit of its times is not known."""
+        return len(self.time_units) > 1
 
     @property
     def said(self) -> tuple[str, ...]:

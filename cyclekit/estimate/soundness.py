@@ -29,7 +29,7 @@ ROUGHLY: tuple[ClockMethod, ...] = ("logs", "start-text")
 """Methods of clock alignment that leave an error of the order of a reaction time."""
 BY_THE_LOGS: tuple[ClockMethod, ...] = ("own", "same-log", "event-pairs", "motion", "lower-envelope", "logs")
 """Methods that the logs themselves decide: one device, or a fit with its residual."""
-WRONG = ("clock-contradicted", "clock-by-logs-unsure", "clock-apart", "clock-future")
+WRONG = ("clock-contradicted", "clock-by-logs-unsure", "clock-apart", "clock-future", "clock-unit")
 """Codes of notes on a clock that is wrong, or not certain."""
 GIVE_CLOCK = "give clock_offset_s, sync or sees in the cell file, or ingest with --align-clocks logs"
 GIVE_POSE = "give frame in the cell file (`cyclekit calibrate points.csv` computes it)"

@@ -14,6 +14,8 @@ from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.alignment.spans import HALF, cause_of, overlap, robots_beside, share
 from cyclekit.dataset.cards import note
 from cyclekit.derive.robot_clocks import WRONG
+from cyclekit.ingest.open_units import better_unit
+from cyclekit.text.numbers import compact
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -46,6 +48,7 @@ def with_span_notes(
     for one in recordings:
         if one is not main[one.session]:
             members.setdefault(copies.get(one.id, one.id), []).append(one)
+    doubtful = {one.id: _unit(one, main[one.session]) for one in recordings if one.clock.method == ASSUMED}
     noted = {name: found for name, mine in members.items() if (found := _apart(mine, main)) is not None}
     proven = {one.id for one in recordings for said in one.clock.warnings if said.code == WRONG}
     for log, robot, cause in robots_beside((one for one in recordings if one.id not in copies), sources):
@@ -56,7 +59,7 @@ def with_span_notes(
     made = []
     for one in recordings:
         new = [noted[one.id]] if one.id in noted else [*_alone(one, recordings)] if one is main[one.session] else []
-        new += _in_future(one, files.get(one.shown))
+        new += [*doubtful.get(one.id, ()), *_in_future(one, files.get(one.shown))]
         clock = structs.replace(one.clock, warnings=(*one.clock.warnings, *new))
         made.append(structs.replace(one, clock=clock) if new else one)
     return made
@@ -79,6 +82,16 @@ def _apart(parts: Sequence[RecordingCard], main: Mapping[str, RecordingCard]) ->
     if found >= HALF * min(_length(log.span_s), sum(map(_length, spans))):
         return None
     return _note(log.span_s, robots[:1], spans[:1], log.clock.offset_s + robots[0].first_s)
+
+
+def _unit(log: RecordingCard, robot: RecordingCard) -> list[Note]:
+    """Return a note if a log lasts as long as the robot's in another unit than the one that is stated."""
+    if not robot.duration_s or (unit := better_unit(log, robot)) is None:
+        return []
+    read = log.time_units[0]
+    lasts_s = log.duration_s / read.seconds * unit.seconds
+    told = {"read": read.name, "unit": unit.name, "lasts": _lasts(log.duration_s), "would_last": _lasts(lasts_s)}
+    return [note("clock-unit", robot=robot.shown, robot_lasts=_lasts(robot.duration_s), **told)]
 
 
 def _alone(log: RecordingCard, recordings: Sequence[RecordingCard]) -> Iterable[Note]:
@@ -115,6 +128,10 @@ def _in_future(log: RecordingCard, file: Path | None) -> list[Note]:
 
 def _length(span: Span) -> float:
     return span[1] - span[0]
+
+
+def _lasts(time_s: float) -> str:
+    return f"{compact(time_s)} s"
 
 
 def _duration(time_s: float) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec import structs
 
+from cyclekit.adapter import TimeUnit
 from cyclekit.config import Source
 from cyclekit.errors import LogError
 from cyclekit.ingest.discover import key_of
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.adapter import TimeUnit
     from cyclekit.dataset.cards import LogCard
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.ingest.discover import Log
@@ -38,7 +38,9 @@ that only below 0.32 two of them could have it; with twice of it, a log that end
 NEARLY = 0.9
 """The same for 1/10 s, 1/100 s and other ticks: whole numbers may count cycles as well, and those of 8 or 12 ms are a
 fifth off 1/100 s. Half of it takes them for it; twice of it would ask about all ticks."""
-_USUAL = {"ns", "us", "ms", "s", "min", "h", "days"}
+_SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "days": 86400.0}
+USUAL = tuple(TimeUnit(name, seconds) for name, seconds in _SECONDS.items())
+"""Units in which logs usually count."""
 CHANCE = 1e-4
 """Largest chance with which the rows of a log, were they spread evenly over the others' time, all lie at its beginning.
 With units a thousand apart three rows are enough, with ten apart five; half and twice change that by at most one."""
@@ -79,8 +81,8 @@ def prove_units(
     by_id = {log.id: log for log in logs}
     found: dict[str, tuple[LogCard, TimeUnit, str]] = {}
     for group in groups:
-        known = [log for log in group.logs if not log.time_units and log.duration_s > 0.0]
-        for card in (log for log in group.logs if log.time_units):
+        known = [log for log in group.logs if len(log.time_units) < 2 and log.duration_s > 0.0]
+        for card in (log for log in group.logs if len(log.time_units) > 1):
             other = min(known, key=lambda log: (_kind(log), -log.duration_s), default=None)
             times = table(card.id, card.tables[0])
             rows = 0 if times is None else times["t_s"].n_unique()
@@ -96,6 +98,22 @@ def prove_units(
             card = structs.replace(read.card, key=card.key, facts=card.facts)  # the unit is none of the cell file
         cards[name] = structs.replace(card, time_units=(), facts=card.facts | {"time unit": why})
     return cards
+
+
+def better_unit(log: LogCard, other: LogCard) -> TimeUnit | None:
+    """Return the unit in which a log lasts about as long as another, if it does not in the one that is stated.
+
+    Args:
+        log: The log, with the unit in which it was read.
+        other: The log of the robot that was recorded with it.
+    """
+    if len(log.time_units) != 1 or log.clock.kind != "relative" or log.time_units[0].zero_s is not None:
+        return None
+    rows = log.rows.get(log.tables[0], 0)
+    if not _fit(log, log.time_units[0], rows, other).out:
+        return None
+    fits = [unit for unit in USUAL if _fit(log, unit, rows, other).share >= MOST]
+    return fits[0] if len(fits) == 1 else None
 
 
 def _kind(log: LogCard) -> int:
@@ -115,7 +133,7 @@ def _proven(log: Log, card: LogCard, rows: int, other: LogCard | None) -> tuple[
         LogError: There is none.
     """
     fits = [] if other is None else [_fit(card, unit, rows, other) for unit in card.time_units]
-    best = [fit for fit in fits if fit.share >= (MOST if fit.unit.name in _USUAL else NEARLY)]
+    best = [fit for fit in fits if fit.share >= (MOST if fit.unit.name in _SECONDS else NEARLY)]
     if other is not None and len(best) == 1 and all(fit.out for fit in fits if fit is not best[0]):
         (fit,) = best
         beside = f"{compact(fit.span_s)} s beside {compact(other.duration_s)} s of {other.id}"  # no file's name

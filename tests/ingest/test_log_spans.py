@@ -98,3 +98,43 @@ def test_dates_after_the_file_was_written_are_named(tmp_path: Path) -> None:
     ingest([tmp_path / "logs"], tmp_path / "dataset")
     robot = next(one for one in Dataset.open(tmp_path / "dataset").recordings if "robot" in one.tables)
     assert "its last time is 11 d 13 h later than its file was written" in told(robot)[0]
+
+
+@pytest.mark.parametrize(
+    ("written_in", "stated", "found"),
+    [
+        (1e-3, 'time_unit = "s", ', "ms"),
+        (60.0, 'time_unit = "s", ', "min"),
+        (60.0, "", "min"),
+        (1.0, 'time_unit = "ms", ', "s"),
+        (1e-6, 'time_unit = "ms", ', "us"),
+        (1.0, 'time_unit = "min", ', "s"),
+        (1.0, 'time_unit = "s", ', None),
+        (1.0, "", None),
+    ],
+)
+@pytest.mark.parametrize("of_people", [True, False])
+def test_a_stated_unit_in_which_a_log_does_not_last_as_long_as_the_robot_s_is_doubted_and_the_other_named(
+    tmp_path: Path, written_in: float, stated: str, found: str | None, *, of_people: bool
+) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    rows = [f"{row / 10:.1f},{0.4 + 0.001 * (row % 100):.4f},0,0.3,100" for row in range(10 * LENGTH_S)]
+    (logs / "robot.csv").write_text("\n".join(["t,x,y,z,s", *rows]) + "\n", encoding="utf-8")
+    times = [row / 2 / written_in for row in range(4, 2 * LENGTH_S - 8)]
+    cells = [f"{t:.9g},1,1.000{n % 9},0.5" if of_people else f"{t:.9g},door,{n // 9 % 2}" for n, t in enumerate(times)]
+    columns, mapped = ("t,who,x,y", 'x = "x", y = "y", person = "who"') if of_people else (
+        "t,signal,value", 'signal = "signal", value = "value"'
+    )  # fmt: skip
+    (logs / "other.csv").write_text("\n".join([columns, *cells]) + "\n", encoding="utf-8")
+    role = "people" if of_people else "events"
+    cell = CELL[: CELL.index("[[sources]]", 5)].replace('clock = "epoch", ', "")
+    cell += (
+        f'[[sources]]\npath = "other.csv"\nadapter = "csv"\nrole = "{role}"\nmap = {{ time = "t", {stated}{mapped} }}\n'
+    )
+    (logs / "cell.toml").write_text(cell, encoding="utf-8")
+    ingest([logs], tmp_path / "dataset")
+    (log,) = [one for one in Dataset.open(tmp_path / "dataset").recordings if "robot" not in one.tables]
+    said = [text for text in log.said if "as stated, its times last" in text]
+    assert len(said) == (found is not None)
+    assert all(f'is time_unit = "{found}"?' in text for text in said)

@@ -113,6 +113,7 @@ class _MappedCsv:
             return Recording(
                 **tables,  # type: ignore[arg-type]  # roles are fields
                 clock=clock,
+                time_units=times.time_units,
                 joint_names=mapping.joints if role == "robot" else (),
                 rows_are="row" if "sheet" in table.facts else "line",
                 rows_read=rows.rows_read,

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
     from cyclekit_adapters.times.proof import Vector
 
+DEFAULT, FROM_CELL = "the default", "from the cell file"
+"""Evidence that is none in the log."""
+
 
 def mapped_times(path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]], rate_hz: float | None) -> TimeColumn:
     """Return how the times of a table are read.
@@ -51,12 +54,13 @@ def mapped_times(path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]]
             mapping.time, "", (Unit(FRAME, 1.0 / (rate_hz or 1.0)),), f"frames at {compact(rate_hz, 6)} Hz"
         )
     units = tuple(unit for text in mapping.time_unit if (unit := unit_named(text)))
-    why = ", ".join(unit.said for unit in units) + ", from the cell file"
+    why = ", ".join(unit.said for unit in units) + f", {FROM_CELL}"
     if len(mapping.time) == 1:
         units, why = _of_one(path, mapping, cells, units)
     if mapping.clock == "epoch" and units[0].zero_s is None:
         units = (units[0].since_1970(), *units[1:])
-    return TimeColumn(mapping.time, "", units, why)
+    stated = units if len(units) == 1 and why.endswith((FROM_CELL, DEFAULT)) else ()
+    return TimeColumn(mapping.time, "", units, why, may_be=stated)
 
 
 def _of_one(
@@ -71,15 +75,15 @@ def _of_one(
             left = prove(values, TimeEvidence(column, others=others, before_s=file_date(path))).left
             names = " or ".join(f'"{unit.name}"' for unit in left)
             raise LogError(path, cause, cure=f"It fits {names}." if left else "Check which column is the time.")
-        return given, f"{given[0].said}, from the cell file"
+        return given, f"{given[0].said}, {FROM_CELL}"
     if given or not len(values):
-        return given or (COUNTED["s"],), "s, the default"
+        return given or (COUNTED["s"],), f"s, {DEFAULT}"
     named = unit_in_name(column)
     proof = prove(values, TimeEvidence(column, named, others, before_s=file_date(path)))
     if proof.unit and (named or proof.unit.zero_s is not None or others):
         return (proof.unit,), proof.why
     if not others and not (named and proof.contradiction):
-        return (COUNTED["s"],), "s, the default"
+        return (COUNTED["s"],), f"s, {DEFAULT}"
     cure = 'Give it in [sources.map] of the cell file: time_unit = "ms", for example.'
     cause = f"no time_unit is given for column {column!r}, and {proof.question}"
     raise LogError(path, cause, cure=cure)

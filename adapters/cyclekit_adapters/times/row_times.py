@@ -40,7 +40,8 @@ class TimeColumn:
         why: Evidence for this interpretation.
         sample: The first time as written.
         zoned: The times name their time zone.
-        may_be: Units that numbers may have, the likeliest first, while the evidence in the log leaves several.
+        may_be: Units that numbers may have, the likeliest first, while the evidence in the log leaves several; or the
+            one that is stated or taken without evidence in the log.
     """
 
     columns: tuple[str, ...]
@@ -67,7 +68,7 @@ class TimeColumn:
 
     @property
     def time_units(self) -> tuple[TimeUnit, ...]:
-        """The units that the times may have, for `Recording.time_units`; empty if the unit is known."""
+        """The units that the times may have, for `Recording.time_units`; empty if the log shows its unit."""
         counts = ((unit.name, 0.0 if unit.name == FRAME else unit.seconds, unit.zero_s) for unit in self.may_be)
         return tuple(TimeUnit(*count) for count in counts)
 
@@ -116,7 +117,7 @@ def time_column(
         middle = sorted(numbers)[len(numbers) // 2]
         dated = unit.zero_s is None and EARLIEST_S <= middle * unit.seconds <= LATEST_S
         unit = unit.since_1970() if dated else unit
-        return TimeColumn(columns, "", (unit,), f"{unit.said}, from the cell file", sample[0])
+        return TimeColumn(columns, "", (unit,), f"{unit.said}, from the cell file", sample[0], may_be=(unit,))
     proof = prove(np.array(numbers), evidence)
     left = () if proof.unit or proof.contradiction else proof.left
     if any(number % 1.0 for number in numbers):
@@ -132,7 +133,7 @@ def settled(path: Path, times: TimeColumn) -> TimeColumn:
         LogError: They contradict every unit or their name, or their form is open.
     """
     if times.known:
-        return replace(times, may_be=())
+        return times
     if likeliest := next((unit for unit in times.may_be if unit.name != FRAME), None):
         others = (unit for unit in times.may_be if unit != likeliest)
         return replace(times, units=(likeliest,), may_be=(likeliest, *others))

@@ -194,6 +194,10 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "split it at the restart as well, one folder for each part"
     ),
     "clock-apart": _clock_apart,
+    "clock-unit": (
+        "in {read}, as stated, its times last {lasts} beside {robot_lasts} of {robot}; in {unit} they would last "
+        '{would_last}: is time_unit = "{unit}"?'
+    ),
     "clock-future": (
         "its last time is {late} than its file was written: its clock, its unit or its epoch is wrong; give "
         "clock_offset_s in cell.toml"

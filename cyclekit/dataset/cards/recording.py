@@ -178,7 +178,8 @@ class LogCard(Card, frozen=True, kw_only=True):
         rate_hz: Rows per second; None if all rows have one time.
         warnings: Limits of the log that a user must know.
         facts: Other findings of the adapter, as texts.
-        time_units: Units that its times may have, while they are not proven: see `adapter.Recording`.
+        time_units: Units that its times may have, while they are not proven, or the stated one: see
+            `adapter.Recording`.
         key: Changes with the log, its adapter or its options; empty if the dataset is pseudonymised.
     """
 

@@ -148,7 +148,7 @@ def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, 
         _check(log, written, rows_read, first_aside, last)
         if nameless:
             nameless.check(log.path)
-        alone = any(table.restart_rows for table in written.values()) or (last is not None and last.time_units)
+        alone = any(table.restart_rows for table in written.values()) or (last is not None and last.time_open)
         held = _held(written) if hold and aside is None and log.size < SHORT_BYTES and not alone else {}
         for writer in [] if held else [*(table.writer for table in written.values()), *([aside] if aside else [])]:
             writer.close()

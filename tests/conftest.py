@@ -20,6 +20,7 @@ from made_once import changed, shared_folder
 from quick_task_times import quick_task_times  # noqa: F401
 from simple_rules import simple_rules  # noqa: F401
 from simulated_cells import boxes, cells, large, logs, motive_log, reads, robot_log, three_runs  # noqa: F401
+from stated_clocks import _clocks_as_they_are, _clocks_tested  # noqa: F401
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,6 +14,8 @@ from cyclekit_adapters.rosbag import ADAPTER
 from cyclekit_adapters.rosbag.clocks import StampSource, choose_times, simulated
 from cyclekit_adapters.rosbag.envelope import PARTS, line_under
 
+pytestmark = pytest.mark.tests_clocks
+
 T0 = 1_700_000_000.0
 TCP, POSES, SCALING = "/tcp_pose_broadcaster/pose", "/poses", "/speed_scaling_factor"
 

@@ -21,6 +21,8 @@ from cyclekit.errors import ShapeError
 if TYPE_CHECKING:
     from simulated_cells import Cells, SimulatedCell
 
+pytestmark = pytest.mark.tests_clocks
+
 HUMAN = ["human_x_m", "human_y_m", "human_z_m"]
 YAW_90 = Frame((1.0, 2.0, -0.8), ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
 

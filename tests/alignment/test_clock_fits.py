@@ -17,6 +17,8 @@ from cyclekit.alignment.clocks import Method, fit_events, fit_motion, fit_pairs,
 from cyclekit.dataset.cards import texts
 from cyclekit.errors import ConfigError, ShapeError
 
+pytestmark = pytest.mark.tests_clocks
+
 OFFSET, RATE = -4321.125, 1 + 50e-6
 
 

@@ -23,6 +23,8 @@ from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import SimulationOptions, simulate
 
+pytestmark = pytest.mark.tests_clocks
+
 OFFSET_S, DRIFT, LEAD_S, ROBOT_START_S = 0.35, 50e-6, 6.0, 152.512
 EXECUTIONS = 7
 

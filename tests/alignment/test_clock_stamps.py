@@ -21,6 +21,8 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.ingest.pseudonymise import Nameless
 from cyclekit_sim import simulate
 
+pytestmark = pytest.mark.tests_clocks
+
 EPOCH_S, UPTIME_S = 1_700_000_000.0, 152.5
 DRIFT = 40e-6
 

@@ -13,6 +13,8 @@ from cyclekit.dataset.cards import LogCard, RecordingCard
 from cyclekit.dataset.sessions import LogGroup
 from cyclekit.errors import ConfigError
 
+pytestmark = pytest.mark.tests_clocks
+
 EPOCH_S = 1_700_000_000.0
 TRACKER = Source("take_*.csv", role="people")
 

@@ -14,6 +14,8 @@ from cyclekit.derive.clock_grids import MAX_PEOPLE, people_at_once
 from cyclekit.derive.log_clocks import GRIDS
 from cyclekit.people.tracks import PersonTrack
 
+pytestmark = pytest.mark.tests_clocks
+
 LENGTH_S, SLOW_M = 900.0, 1.5
 
 

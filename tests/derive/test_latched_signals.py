@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     from simulated_cells import Cells
 
+pytestmark = pytest.mark.tests_clocks
+
 END_S, STEP_S, DELAY_S = 900.0, 0.1, 0.12
 NOTHING = np.empty(0)
 

@@ -20,6 +20,8 @@ from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.signal_inputs import as_learned_by, by_signals, left_out, mixed
 from cyclekit_sim import SimulationOptions, simulate
 
+pytestmark = pytest.mark.tests_clocks
+
 
 def logs(folder, executions, seed=2, **options):
     options = {"executions_per_session": executions, **options}

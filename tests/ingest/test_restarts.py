@@ -15,6 +15,8 @@ from cyclekit.ingest.restarts import MAX_PARTS
 if TYPE_CHECKING:
     from pathlib import Path
 
+pytestmark = pytest.mark.tests_clocks
+
 CELL = """
 [[sources]]
 path = "*robot.csv"

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import RecordingCard
 
+pytestmark = pytest.mark.tests_clocks
+
 YEARS_66_S = 2_082_844_800.0
 SECTIONS = 'name = "two"\n' + "".join(f'[[sources]]\npath = "robot_{one}.csv"\nadapter = "ur-rtde"\n' for one in "ab")
 TRACE = """[[sources]]

@@ -14,6 +14,8 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import SimulationOptions, simulate
 
+pytestmark = pytest.mark.tests_clocks
+
 EPOCH_S, UPTIME_S, PLC_S = 1_700_000_000.0, 20.0, 41.3
 BELT = "part_passes"
 

@@ -16,7 +16,7 @@ from cyclekit.learning.task_times.learn import learn_runs
 from cyclekit.learning.task_times.runs import DoneTask, Run
 from cyclekit_sim.task_lists import AGENTS, ListOptions, one_cycle, random_order
 
-pytestmark = pytest.mark.usefixtures("quick_task_times")
+pytestmark = [pytest.mark.usefixtures("quick_task_times"), pytest.mark.tests_clocks]
 
 KINDS = {AGENTS[kind]: kind for kind in AGENTS}
 TRUE = {("mount", "bring"), ("weld", "mount")}

@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from ingested import ROUND_TRIP
 from made_once import made_once, simulated
+from stated_clocks import are_tested as clocks_are_tested
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest import registry
@@ -60,15 +61,16 @@ class Cells:
 
     def __init__(self, factory: pytest.TempPathFactory) -> None:
         self._factory = factory
-        self._opened: dict[Path, SimulatedCell] = {}
+        self._opened: dict[tuple[Path, bool], SimulatedCell] = {}
 
     def __call__(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> SimulatedCell:
         logs = self.logs(scene, executions, seed=seed, **options)
-        if logs not in self._opened:
-            name = f"{logs.parent.name}_dataset"
+        key = logs, clocks_are_tested()
+        if key not in self._opened:
+            name = f"{logs.parent.name}_dataset{'_of_tested_clocks' * key[1]}"
             made = made_once(self._factory, name, lambda place: ingest([logs], place / "dataset")) / "dataset"
-            self._opened[logs] = SimulatedCell(scene, logs, Dataset.open(made))
-        return self._opened[logs]
+            self._opened[key] = SimulatedCell(scene, logs, Dataset.open(made))
+        return self._opened[key]
 
     def logs(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> Path:
         """Return the logs of a cell, without a dataset made of them."""

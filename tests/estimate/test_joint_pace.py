@@ -69,6 +69,18 @@ def test_logged_stays_and_walks_last_as_long_as_at_the_latest_pace(logged: Datas
     assert (quick.stretch <= 1.0).all()
 
 
+def test_an_execution_that_its_log_cuts_lends_stays_and_walks_and_is_no_order(
+    logged: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, (first, *others) = Segments(logged), logged.card.executions
+    cards = (msgspec.structs.replace(first, complete=False), *others)
+    monkeypatch.setattr(logged, "card", msgspec.structs.replace(logged.card, executions=cards))
+    found = Segments(logged)
+    assert whole.orders.keys() - found.orders.keys() == {first.execution}
+    assert len(found.walk("inbound", "out_left_1")) == len(whole.walk("inbound", "out_left_1"))
+    assert found.work_s("inbound") == pytest.approx(whole.work_s("inbound"))
+
+
 def test_a_walk_at_another_pace_takes_longer_and_so_does_own_work(
     logged: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:

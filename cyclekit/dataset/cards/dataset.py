@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
 
 import msgspec
@@ -72,6 +72,12 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
     def whole(self) -> bool:
         """Whether it shows a whole cycle: complete and not interrupted."""
         return self.complete and not self.interrupted_s
+
+
+def begun(executions: Sequence[ExecutionCard]) -> list[ExecutionCard]:
+    """Return the whole executions, and those that the end of a log cuts and that begin where whole ones do."""
+    firsts = {one.places[:1] for one in executions if one.whole}
+    return [one for one in executions if one.whole or (not one.interrupted_s and one.places[:1] in firsts)]
 
 
 class PlaceCard(Card, frozen=True, kw_only=True):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.dataset.cards.dataset import begun
 from cyclekit.estimate.joint.long_stays import OperatorVisit, parted_stays, unseen_walks
 from cyclekit.estimate.joint.stop_overs import StopOvers
 from cyclekit.estimate.operator.tracks import logged_tracks
@@ -47,7 +48,7 @@ class Segments:
     """Numbered segments: the operator's positions on logged walks and stays, and on trips while he waits.
 
     Attributes:
-        orders: The visits in each execution, one for each task, by its name.
+        orders: The visits in each whole execution, one for each task, by its name.
         stop_overs: Places by which he went from one to another of these.
     """
 
@@ -57,7 +58,7 @@ class Segments:
         coupling: CouplingCard | None = None,
         paces: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
-        """Cut the logged tracks of complete executions into walks, stays and the trips that are known.
+        """Cut the logged tracks of begun executions into walks, stays and the trips that are known.
 
         Args:
             dataset: The logs.
@@ -87,13 +88,15 @@ class Segments:
             gate.place for gate in every_gate if gate.conditions and (gate.agent, gate.at) == ("operator", "approach")
         }
         self._visits: dict[str, tuple[OperatorVisit, ...]] = {}
-        complete = {one.execution for one in dataset.card.executions if one.whole and not one.reference}
+        cards = dataset.card.executions
+        self._whole = {one.execution for one in cards if one.whole and not one.reference}
+        known = {one.execution for one in begun(cards) if not one.reference}
         tracks = logged_tracks(dataset)
         mine = dataset.every_task().filter((pl.col("agent") == "operator") & pl.col("agent_name").is_null())
         every: dict[str, list[PlaceVisit]] = {}
         cut_off: list[tuple[str, PlaceVisit, PlaceVisit]] = []
         for (name,), visits in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
-            if name in complete and str(name) in tracks and tracks[str(name)].seen:
+            if name in known and str(name) in tracks and tracks[str(name)].seen:
                 every[str(name)] = joined(self._seen(tracks[str(name)], visits), errands)
                 cut_off += [(str(name), *both) for both in self._cut_off(tracks[str(name)], visits, errands)]
         walks_s = usual_walks_s(list(every.values())) if gates else {}
@@ -201,7 +204,9 @@ class Segments:
             for name, visits in found.items():
                 found[name] = parted_stays(visits, place, most, float(single.min()))
         return {
-            name: tuple(visit for visit in visits if visit.place not in self._spots) for name, visits in found.items()
+            name: tuple(visit for visit in visits if visit.place not in self._spots)
+            for name, visits in found.items()
+            if name in self._whole
         }
 
     def _add_unseen(self, tracks: Mapping[str, LoggedTrack]) -> None:
@@ -314,7 +319,7 @@ class Segments:
             end = self._row(trips[number].left_s) if number in trips else left
             self._stays[place].append(self._add(where[first : end + 1]))
         worked = [span for span in spans if span[0] not in self._spots]
-        if worked:
+        if worked and name in self._whole:
             self._after[worked[-1][0]].append(self._add(_until_he_stands(where[worked[-1][2] :]), walk))
         there = at_s[0][1] <= AT_START_S
         self._begin(where, spans, (work, walk), there=there)

@@ -118,3 +118,24 @@ def test_a_button_wired_to_the_robot_serves_without_being_told(cells: Cells, tmp
     assert card is not None
     found = {(gate.agent, gate.place, one.signal) for gate in card.gates for one in gate.conditions}
     assert found == {("robot", "handover", "digital-input 2 set"), ("operator", "handover", None)}
+
+
+def test_an_execution_that_the_log_cuts_tells_what_it_saw_and_one_that_began_unseen_nothing() -> None:
+    """The robot of execution 6 has left the handover when its log ends; execution 7 begins there."""
+    ends = pl.col("arrival_s") + 4.0
+    rows = _rows().with_columns(end_s=pl.coalesce("end_s", ends), cut=pl.col("index") == 1)
+    rows = rows.filter((pl.col("execution") != "6") | (pl.col("start_s") < 6 * LONG_S + 20.0))
+    rows = rows.with_columns(cut=pl.col("cut") & (pl.col("agent") == "robot") & (pl.col("execution") != "6"))
+    records: Any = [SimpleNamespace(id="r", session="s", rows={"robot": 9}, clock=SimpleNamespace(rate=1, offset_s=0))]
+    went = [("bin", "handover", "bin")] * 6 + [("bin", "handover"), ("handover", "bin")]
+    cards = [
+        ExecutionCard(
+            execution=str(n), session="s", start_s=n * LONG_S, end_s=n * LONG_S + 50.0, complete=n < 6, places=places
+        )
+        for n, places in enumerate(went)
+    ]
+    courses = courses_of(cards, rows, records, lambda *_: None, lambda _: {})
+    assert [course.name for course in courses] == list("0123456")
+    assert [visit.left_s - 6 * LONG_S for visit in courses[6].visits["robot"]] == [6.0, 12.0]
+    assert [visit.place for visit in courses[6].visits["operator"]] == ["shelf", "handover"]
+    assert np.isnan(courses[5].visits["robot"][-1].left_s)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.dataset.cards.dataset import begun
 from cyclekit.dataset.signals import INPUT, OUTPUT, switches
 from cyclekit.learning.coupling.events.givers import with_givers
 from cyclekit.learning.coupling.events.repeated import without_repeats
@@ -49,7 +50,7 @@ def courses_of(
     fields: Collection[str] = (),
     goals: Collection[str] = (),
 ) -> list[ExecutionVisits]:
-    """Return the complete executions in which both agents were seen; of logs without operators those of the robot.
+    """Return the begun executions in which both agents were seen; of logs without operators those of the robot.
 
     An input of the robot counts where the operator gives it: most inputs tell of grippers, conveyors and doors. Where
     no operator was logged every signal counts; what it waits for is then judged by `conditions` and `answers`.
@@ -63,7 +64,7 @@ def courses_of(
         fields: Signals that show people: their cost is safety loss, not a wait.
         goals: Signals that name the operator's next place: nobody waits for them.
     """
-    cards = {card.execution: card for card in executions if card.whole}
+    cards = {card.execution: card for card in begun(executions)}
     mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
     people = "operator" in mine["agent"]
     sessions = {card.session for card in cards.values()}
@@ -180,7 +181,8 @@ def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:
     names = ("goal_place", "arrival_s", "start_s", "reached_s", "went_on_s")
     goals, *times = (rows[name].to_list() for name in names)
     arrived, started, reached, went_on = (np.array(column, float) for column in times)
-    left = [*started[1:].tolist(), np.nan]
+    cut = rows["cut"].fill_null(value=True)[-1]
+    left = [*started[1:].tolist(), np.nan if cut else rows["end_s"][-1]]
     first = PlaceVisit(rows["start_place"][0], float(started[0]), float(started[0]))
     return [first, *map(PlaceVisit, goals, arrived.tolist(), left, reached.tolist(), went_on.tolist())]
 

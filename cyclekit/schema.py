@@ -184,7 +184,7 @@ TASKS: Mapping[str, Column] = {
     "start_place": Column(TEXT, "", "start of the motion; null = from a task list"),
     "goal_place": Column(TEXT, "", "end of the motion, place of the dwell"),
     "start_s": Column(F64, "s", "start of the motion, or of a listed task, session time"),
-    "arrival_s": Column(F64, "s", "end of the motion, session time; null = from a task list"),
+    "arrival_s": Column(F64, "s", "end of the motion, session time; null = from a task list, or cut by the log"),
     "end_s": Column(F64, "s", "end of dwell and wait, or of a listed task, session time; null = not logged"),
     "nominal_s": Column(F64, "s", "duration of the motion at full speed; null = scaling unknown"),
     "safety_loss_s": Column(F64, "s", "time lost to speed scaling s below 1: integral of (1 - s) over the motion"),

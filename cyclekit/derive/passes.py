@@ -328,7 +328,7 @@ def _operator_rows(
 def _task_times(executed_tasks: Sequence[ExecutedTask]) -> Floats:
     never = (np.inf, -np.inf)
     times = [
-        (task.start_s, task.arrival_s, task.arrival_s + task.dwell_s, task.end_s)
+        (task.start_s, task.moves_until_s, task.moves_until_s + task.dwell_s, task.end_s)
         + (never if task.reached_s is None or task.went_on_s is None else (task.reached_s, task.went_on_s))
         for task in executed_tasks
     ]

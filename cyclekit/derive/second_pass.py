@@ -265,7 +265,7 @@ def _task_columns(t: Vector, motion: _RobotMotion) -> dict[str, Column]:
     starts = np.array([task.start_s for task in tasks])
     index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(tasks) - 1)
     goals = motion.goals_m[index]
-    arrivals = np.array([task.arrival_s for task in tasks])[index]
+    arrivals = np.array([task.moves_until_s for task in tasks])[index]
     names = [f"{task.start_place}->{task.goal_place}" for task in tasks]
     return {
         **{f"robot_goal_{axis}_m": goals[:, k] for k, axis in enumerate("xyz")},
@@ -296,5 +296,7 @@ def _card(session: Session, motion: _RobotMotion, part: str) -> ExecutionCard:
         end_s=float(tasks[-1].end_s if tasks else motion.t_s[-1]),
         complete=motion.complete,
         reference=session.reference,
-        places=(tasks[0].start_place, *(task.goal_place for task in tasks)) if tasks else (),
+        places=(tasks[0].start_place, *(task.goal_place for task in tasks if task.arrival_s is not None))
+        if tasks
+        else (),
     )

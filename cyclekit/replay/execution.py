@@ -141,7 +141,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
     robot_m, human_m = _points(rows, "robot"), _points(rows, "human")
     joints = _joints(dataset.native_robot(name), start_s)
     usable = model if model is not None and model.problem == "now" else None
-    tasks = dataset.tasks().filter(pl.col("execution") == name).sort("index")
+    tasks = dataset.tasks().filter(pl.col("execution") == name).drop_nulls("arrival_s").sort("index")
     return ReplayedExecution(
         name=name,
         cell=dataset.card.name or dataset.path.name,

@@ -43,12 +43,16 @@ class Visit:
 
 @dataclass(frozen=True)
 class Execution:
-    """Consecutive visits of one run that form one execution of the process; `cut`: the end of the log cuts it."""
+    """Consecutive visits of one run that form one execution of the process.
+
+    `cut`: the end of the log cuts it; `waits`: in a wait short of a place: the place, first and last row there.
+    """
 
     run: int
     visits: tuple[Visit, ...]
     complete: bool
     cut: bool = False
+    waits: tuple[str, int, int] | None = None
 
 
 def find_visits(stops: Sequence[Standstill], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:

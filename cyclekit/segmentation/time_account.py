@@ -37,13 +37,13 @@ class ExecutedTask:
 
     `wait_s` includes `pause_s`, the time in which the program was paused or stopped, and the wait short of the goal,
     from `reached_s` to `went_on_s`; these are None without such a waiting position, or after a stop there. `cut`: the
-    robot stood at least so long, as the log or the execution ends.
+    robot stood at least so long, as the log or the execution ends; without an arrival it stood short of the goal.
     """
 
     start_place: str
     goal_place: str
     start_s: float
-    arrival_s: float
+    arrival_s: float | None
     end_s: float
     nominal_s: float | None
     slider_loss_s: float | None
@@ -54,6 +54,11 @@ class ExecutedTask:
     reached_s: float | None = None
     went_on_s: float | None = None
     cut: bool = False
+
+    @property
+    def moves_until_s(self) -> float:
+        """When it arrives; without an arrival, when the log ends."""
+        return self.end_s if self.arrival_s is None else self.arrival_s
 
 
 def time_account(
@@ -102,6 +107,14 @@ def time_account(
             )
         )
         departure = arrival + dwell + wait
+    if execution.waits is not None:
+        place, first, last = execution.waits
+        reached_s, end_s = run.time_at(first), run.time_at(last)
+        waited_s, paused_s = end_s - reached_s, paused_time(run, reached_s, end_s)
+        unknown = (None, end_s, None, None, None, 0.0)  # how long the motion to the goal takes
+        tasks.append(
+            ExecutedTask(visits[-1].place, place, departure, *unknown, waited_s, paused_s, reached_s, cut=True)
+        )
     return tasks
 
 

@@ -27,7 +27,7 @@ EXACT_SHARE = 0.8
 
 
 def with_waits(executions: Sequence[Execution], stops: Sequence[Standstill], runs: Sequence[Run]) -> list[Execution]:
-    """Return the executions with the rows of each visit at the waiting position before it, if any.
+    """Return the executions with the rows of each visit at the waiting position before it, and of a wait cut there.
 
     Args:
         executions: Executions of all runs.
@@ -50,6 +50,7 @@ def with_waits(executions: Sequence[Execution], stops: Sequence[Standstill], run
     spots = {place: found for place, some in on_way.items() if len(found := _spots(some, runs))}
     if not spots:
         return list(executions)
+    ways = {(a.place, b.place) for execution in executions for a, b in pairwise(execution.visits)}
     known = []
     for execution in executions:
         visits = list(execution.visits[:1])
@@ -59,8 +60,17 @@ def with_waits(executions: Sequence[Execution], stops: Sequence[Standstill], run
                 some = between(execution.run, before, after)
                 rows = _reached(runs[execution.run], before, after, some, spots[after.place])
             visits.append(replace(after, reached=rows))
-        known.append(replace(execution, visits=tuple(visits)))
+        last, cut = by_run[execution.run][-1], None
+        if execution.cut and last.first > visits[-1].last and last.last == runs[execution.run].rows - 1:
+            near = (place for place, some in spots.items() if _is_at(some, last))
+            goals = [place for place in near if (visits[-1].place, place) in ways]
+            cut = (goals[0], last.first, last.last) if len(goals) == 1 else None
+        known.append(replace(execution, visits=tuple(visits), waits=cut))
     return known
+
+
+def _is_at(spots: Points, stop: Standstill) -> bool:
+    return bool(lengths(spots - np.asarray(stop.xyz_m)).min() <= MERGE_M)
 
 
 def _spots(stops: Sequence[Standstill], runs: Sequence[Run]) -> Points:
@@ -98,7 +108,7 @@ def _reached(
     run: Run, before: Visit, after: Visit, stops: Sequence[Standstill], spots: Points
 ) -> tuple[int, int] | None:
     """Return first and last row at a waiting position between two visits, equal if passed; None if not reached."""
-    there = [stop for stop in stops if lengths(spots - np.asarray(stop.xyz_m)).min() <= MERGE_M]
+    there = [stop for stop in stops if _is_at(spots, stop)]
     if there:
         return there[0].first, there[-1].last
     xyz = run.window(before.last, after.first).xyz_m

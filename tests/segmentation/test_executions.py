@@ -253,6 +253,25 @@ def test_a_wait_that_the_end_of_a_log_cuts_is_as_long_as_it_is_known(tmp_path: P
     assert found.tasks()["cut"].sum() == 3  # a task that was left is whole, though no other follows
 
 
+def test_a_wait_short_of_a_place_that_the_end_of_a_log_cuts_is_known_too(tmp_path: Path, robot_log: Any):
+    """The robot goes twice to 0.5 m and 1 m; it may wait at 0.8 m, where one log ends after 9 s."""
+    waits_s = [(2.0, 0.0), (0.0, 4.0), (3.0, 1.5), (0.0, 0.0), (2.5, 9.0)]
+    for number, mine in enumerate(waits_s):
+        doing = [("stand", 1.0)]
+        for wait_s in mine:
+            doing += [("move", 0.5), ("stand", 0.6), ("move", 0.8), *([("stand", wait_s)] if wait_s else [])]
+            doing += [("move", 1.0), ("stand", 1.0)] if wait_s < 9.0 else []
+        home = [("move", 0.0), ("stand", 0.5)] if number < 4 else []
+        robot_log(tmp_path / "logs" / f"run_{number}.csv", [*doing, *home])
+    found = made_of(tmp_path, tmp_path / "logs")
+    card = found.card.executions[-1]
+    whole, cut = (found.tasks().filter(execution=card.execution).row(at, named=True) for at in (1, -1))
+    assert (cut["task"], cut["arrival_s"], cut["nominal_s"], cut["cut"]) == (whole["task"], None, None, True)
+    assert cut["wait_s"] == cut["end_s"] - cut["reached_s"] == pytest.approx(9.0, abs=0.05)
+    assert (len(card.places), card.complete, card.end_s) == (4, False, cut["end_s"])
+    assert found.whole_tasks()["arrival_s"].null_count() == 0
+
+
 def test_a_silence_of_the_log_separates_executions(boxes: SimulatedCell, tmp_path: Path):
     told = load_cell(boxes.logs / "cell.toml")
     pauses = (boxes.executions["start_s"][1:] - boxes.executions["end_s"][:-1]).to_list()

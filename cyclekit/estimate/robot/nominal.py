@@ -95,13 +95,14 @@ def _some_of(every: Mapping[str, NominalTask], wanted: frozenset[str]) -> dict[s
 
 
 def _read(dataset: Dataset, wanted: Collection[str] | None) -> dict[str, NominalTask]:
-    tasks = dataset.uninterrupted_tasks().filter(pl.col("nominal_s").is_not_null())
+    logged = dataset.uninterrupted_tasks().filter(pl.col("nominal_s").is_not_null() | pl.col("arrival_s").is_null())
+    tasks = logged.filter(pl.col("nominal_s").is_not_null())
     if tasks.height == 0:
         return {}
     if wanted is not None and set(tasks["task"]).issuperset(wanted):
         tasks = tasks.filter(pl.col("task").is_in(list(wanted)))
     means = tasks.group_by("task").agg(nominal_s=pl.col("nominal_s").median() / usual_slider(dataset))
-    own = {name: standstills_in(rows) for (name,), rows in tasks.group_by(["task"])}
+    own = {name: standstills_in(rows) for (name,), rows in logged.group_by(["task"])}
     slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
     best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
     found, by_work = {}, standstills_by_work(dataset)

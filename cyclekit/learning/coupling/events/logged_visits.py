@@ -184,7 +184,8 @@ def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:
     cut = rows["cut"].fill_null(value=True)[-1]
     left = [*started[1:].tolist(), np.nan if cut else rows["end_s"][-1]]
     first = PlaceVisit(rows["start_place"][0], float(started[0]), float(started[0]))
-    return [first, *map(PlaceVisit, goals, arrived.tolist(), left, reached.tolist(), went_on.tolist())]
+    visits = [first, *map(PlaceVisit, goals, arrived.tolist(), left, reached.tolist(), went_on.tolist())]
+    return visits if np.isfinite(arrived[-1]) else visits[:-1]  # short of a place when the log ended
 
 
 def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     Span = tuple[float, float]
 
 HALF = 0.5
-"""Share of the shorter span below which logs hardly overlap: the larger part of it has no counterpart."""
+"""Share of the shorter span below which logs hardly overlap: the larger part of it has no counterpart. At half of it
+logs of a minute are named from 50 s late, not from 40 s; at twice from 5 s, and no time zone fits."""
 HOUR_S, MOST_HOURS = 3600.0, 14.0
 """Time zones differ by whole or half hours, at most 14 from UTC."""
 EPOCHS = {"counts since 1904 (LabVIEW)": 2082844800.0, "counts since 1900": 2208988800.0, "GPS time": -315964782.0}

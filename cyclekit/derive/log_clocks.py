@@ -53,7 +53,8 @@ if TYPE_CHECKING:
 
 REACTION_S = (-0.3, 0.8)
 """A lag between these may be the reaction time of the safety function (0.5 s in UR's reduced mode, and a scanner's),
-and contradicts no clock, s."""
+and contradicts no clock, s. Half calls the right clock of a function that reacts in 0.5 s wrong; twice
+keeps one that is 1.5 s off."""
 CONTRADICTED = "clock-contradicted"
 """Code of the note on a clock that is wrong for certain."""
 GRIDS = ((0.0, 0.0), (0.25, 0.5), (0.5, 0.25), (0.75, 0.75))

@@ -19,6 +19,8 @@ from cyclekit.cli import run
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.parallel.engine import LOCAL, Engine
 
+pytestmark = pytest.mark.tests_clocks
+
 WHOLE_WAY = Path(__file__).parents[1] / "support" / "whole_way.py"
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import pytest
 from made_once import made_once
 from simple_rules import search_simply
+from stated_clocks import clocks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -84,7 +85,8 @@ def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / "logs").mkdir(exist_ok=True)
             (folder / f"day_{number}" / "session_000").rename(folder / "logs" / f"day_{number}")
         (folder / "day_0" / "cell.toml").rename(folder / "logs" / "cell.toml")
-        dataset = ingest([folder / "logs"], folder / "dataset").dataset
+        with clocks():  # as commands in other processes do
+            dataset = ingest([folder / "logs"], folder / "dataset").dataset
         with pytest.MonkeyPatch.context() as patch:
             search_simply(patch)
             train_at(Training(str(dataset), ModelSpec.of(epochs=2), str(folder / "model")))

@@ -6,6 +6,7 @@ alignment by the logs is asked for, and in every other process: commands that a 
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -28,7 +29,9 @@ def are_tested() -> bool:
     return robot_clocks.with_tested_clocks is TESTED
 
 
-def _patched(instead: Any) -> Iterator[None]:
+@contextmanager
+def clocks(instead: Any = TESTED) -> Iterator[None]:
+    """Have ingests test clocks, whatever the module is about; or do something else with them."""
     with pytest.MonkeyPatch.context() as patch:
         for module in CALLERS:
             patch.setattr(f"{module}.with_tested_clocks", instead)
@@ -37,7 +40,8 @@ def _patched(instead: Any) -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _clocks_as_they_are() -> Iterator[None]:
-    yield from _patched(_as_they_are)
+    with clocks(_as_they_are):
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -45,4 +49,5 @@ def _clocks_tested(request: pytest.FixtureRequest) -> Iterator[None]:
     if request.node.get_closest_marker("tests_clocks") is None:
         yield
     else:
-        yield from _patched(TESTED)
+        with clocks():
+            yield

@@ -115,7 +115,7 @@ class Tested(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether the clock is wrong for certain: no reaction time lies within the error of the lag."""
-        return self.found.certain and self.apart_s > self.delay_s
+        return (self.found.certain or self.found.contradicts) and self.apart_s > self.delay_s
 
 
 def with_tested_clocks(
@@ -312,6 +312,8 @@ def _fit(log: RecordingCard, tested: Tested | None, began_s: float, *, asked: bo
         return clock
     values = {"lag_s": lag_s, "error_s": tested.error_s, "explained": found.explained, "next_best": found.next_best}
     line = _line(clock, tested)
+    if not found.certain and not (assumed or asked):
+        return _warned(clock, CONTRADICTED, **values, other_s=found.next_s, here=found.here or 0.0)
     if not of_people:
         return _warned(clock, CONTRADICTED, offset_s=line.offset_s + began_s, signals=1.0, **values)
     if not (assumed or asked):

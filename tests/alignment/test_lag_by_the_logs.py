@@ -65,6 +65,21 @@ def test_the_lag_is_found_wherever_it_is(late_s: float) -> None:
     assert (lag.here is None) == (abs(late_s) > LENGTH_S)
 
 
+@pytest.mark.parametrize(("late_s", "wrong"), [(0.0, False), (37.0, True), (-18.0, True)])
+def test_a_clock_is_wrong_for_certain_though_a_cell_that_repeats_itself_does_not_tell_the_lag(
+    late_s: float, *, wrong: bool
+) -> None:
+    cycle = Walk.of(1, 60.0)
+    lag = found(Walk(np.tile(cycle.xy_m, (10, 1))), np.tile(cycle.level(), 10), late_s)
+    assert lag.lag_s % 60.0 == -late_s % 60.0
+    assert (lag.certain, lag.contradicts) == (False, wrong)
+
+
+def test_people_of_another_day_contradict_no_clock() -> None:
+    lags = [found(Walk.of(seed), Walk.of(100 + seed).level(), 0.0) for seed in range(12)]
+    assert not any(lag.contradicts for lag in lags)
+
+
 def test_weeks_without_a_change_cost_nothing_and_leave_the_lag_certain(monkeypatch: pytest.MonkeyPatch) -> None:
     every, weeks, walk, sizes = round(STEP_S / FINE_S), 1_000_000, Walk.of(1), list[int]()
     monkeypatch.setattr(

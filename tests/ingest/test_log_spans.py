@@ -138,3 +138,19 @@ def test_a_stated_unit_in_which_a_log_does_not_last_as_long_as_the_robot_s_is_do
     said = [text for text in log.said if "as stated, its times last" in text]
     assert len(said) == (found is not None)
     assert all(f'is time_unit = "{found}"?' in text for text in said)
+
+
+def test_a_clock_that_is_wrong_in_a_cell_that_repeats_itself_is_named_without_a_certain_lag(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    times = [row / 5 for row in range(5 * 300)]
+    rows = [f"{t + BEGAN_S:.2f},{0.4 + 0.01 * (t % 10):.3f},0,0.3,{50 if t % 60 < 20 else 100}" for t in times]
+    (logs / "robot.csv").write_text("\n".join(["t,x,y,z,s", *rows]) + "\n", encoding="utf-8")
+    rows = [f"{t + BEGAN_S + 37:.2f},1,{1.5 if t % 60 < 20 else 3.5},0.{int(t) % 3}" for t in times]
+    (logs / "people.csv").write_text("\n".join(["t,who,x,y", *rows]) + "\n", encoding="utf-8")
+    (logs / "cell.toml").write_text(CELL, encoding="utf-8")
+    ingest([logs], tmp_path / "dataset")
+    (log,) = [one for one in Dataset.open(tmp_path / "dataset").recordings if "people" in one.tables]
+    (text,) = [text for text in log.said if "its clock is wrong" in text]
+    assert "which is right is not certain; give clock_offset_s" in text
+    assert log.clock.method == "epoch"  # it is not moved

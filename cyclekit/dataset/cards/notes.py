@@ -150,6 +150,14 @@ def _clock_contradicted(values: Mapping[str, Value]) -> str:
     told, of, cure = "the place of people", "speed level", 'align_clocks = "logs"'
     if "signals" in values:
         told, of, cure = "its signals", "speed, motion and signals", "sync"
+    if "other_s" in values:
+        here, best, other = (percent(float(values[name])) for name in ("here", "explained", "next_best"))
+        lag, other_lag = (signed(float(values[name]), 1) for name in ("lag_s", "other_s"))
+        return (
+            f"its clock is wrong: as it is, the place of people explains {here} of the robot's speed level, {lag} s "
+            f"away {best}, but {other_lag} s away {other}: which is right is not certain; give clock_offset_s, sync or "
+            "sees in cell.toml, or log longer"
+        )
     return (
         f"its clock is wrong: {signed(float(values['lag_s']), 2)} s{within} would let {told} explain "
         f"{percent(float(values['explained']))} of the robot's {of} (next best "

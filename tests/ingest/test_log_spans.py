@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards import RecordingCard
 
+pytestmark = pytest.mark.tests_clocks
+
 BEGAN_S, LENGTH_S, YEARS_66_S = 1_715_668_200.0, 60, 2_082_844_800.0
 CELL = """
 [[sources]]
@@ -140,7 +142,6 @@ def test_a_stated_unit_in_which_a_log_does_not_last_as_long_as_the_robot_s_is_do
     assert all(f'is time_unit = "{found}"?' in text for text in said)
 
 
-@pytest.mark.tests_clocks
 def test_a_clock_that_is_wrong_in_a_cell_that_repeats_itself_is_named_without_a_certain_lag(tmp_path: Path) -> None:
     logs = tmp_path / "logs"
     logs.mkdir()

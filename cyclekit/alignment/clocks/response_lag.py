@@ -31,8 +31,8 @@ FINE_S = 0.05
 is 0.025 s with a bound of 0.07 s; half and twice give 0.021 and 0.035 s with bounds of 0.04 and 0.14 s."""
 COARSE_S, AROUND_S = 0.25, 3.0
 """Step of the first search, s, and its reach around the found lag, which a slow recovery moves by up to 2 s. The second
-search reaches one step around the best lag of the first. Half and twice of the step as such find the same lags in these
-walks, and a reach of two or four steps the same to 0.001 s; to 0.006 s where clocks drift apart by 0.9 s in 4 h."""
+search reaches one step around the best lag of the first. Half and twice of the step, with a reach of 0.5 s, find the
+same lags in these walks; a reach of two or four steps the same to 0.001 s, of two to 0.006 s with a drift of 0.9 s."""
 NEAR_S = 1.0
 """Maximum time before and after the begin of a move that is compared, s: somebody crosses a cell in less. Half of it
 gives the same largest error in six pairs with slow ramps."""

@@ -67,6 +67,7 @@ FORMS: dict[str, tuple[Written, str]] = {
     "ISO 8601": (form("%Y-%m-%dT%H:%M:%S.%fZ"), MORNING),
     "ISO 8601, basic": (form("%Y%m%dT%H%M%S.%fZ"), MORNING),
     "compact": (form("%Y%m%d %H%M%S.%f"), MORNING),
+    "digits alone": (form("%Y%m%d%H%M%S%f"), MORNING),
     "a zone's name": (form("%Y-%m-%d %H:%M:%S.%f CEST"), MORNING),
     "a zone's offset": (form("%Y-%m-%d %H:%M:%S.%f+0530"), MORNING),
     "months in words": (form("%d-%b-%Y %H:%M:%S.%f"), MORNING),

@@ -14,7 +14,7 @@ import polars as pl
 from cyclekit_adapters.mapped.draft_names import COUNTS, JOINT, OTHER, SET_POINT, TIME_UNITS, Name
 from cyclekit_adapters.times.proof import TimeEvidence, prove
 from cyclekit_adapters.times.units import COUNTED, EARLIEST_S, LATEST_S, unit_in_name, unit_named
-from cyclekit_adapters.times.written_time import forms_of, is_dated, names_zone, written_seconds
+from cyclekit_adapters.times.written_time import forms_of, in_digits, is_dated, names_zone, written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -174,6 +174,8 @@ def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
     clocks = [name for name in texts if any(":" in cell for cell in table.texts[name.column][:5])]
     dates = [name for name in texts if name.says({"date", "datum"}) and name not in clocks]
     clocks += [name for name in texts if name.is_time and name not in (*clocks, *dates)]
+    numbers = (name for name in names.values() if name.column in table.numbers)
+    clocks += [name for name in numbers if all(map(in_digits, table.cells[name.column][:5]))]
     found = [time for date in dates for clock in clocks if (time := _patterned(table, (date.column, clock.column)))]
     found += [time for name in clocks if (time := _patterned(table, (name.column,)))]
     named = {name.column for name in texts if name.is_time}

@@ -33,6 +33,8 @@ _FORMS = (
 )
 _FRACTION = r"(\d:\d\d:\d\d)[;:](\d{1,9})"
 """A fraction of a second after a colon or a semicolon."""
+_DIGITS = r"^((?:19|20)\d\d(?:0[1-9]|1[0-2])(?:0[1-9]|[12]\d|3[01]))((?:[01]\d|2[0-3])[0-5]\d[0-5]\d)\.?(\d{0,3})$"
+"""Date and time in digits alone, YYYYMMDDhhmmss, with milliseconds or without."""
 _PREFIX = r"^(?:L?DT#|L?TOD#|0 days )"
 """What IEC 61131 and pandas write before a date, a time of day and a time."""
 _OF_A_PATTERN = re.compile(r"(?<=%[ST])[,;:.]?%[.\d]*f")
@@ -74,11 +76,16 @@ def names_zone(text: str) -> bool:
     return _ZONE.search(text) is not None
 
 
+def in_digits(text: str) -> bool:
+    """Return whether a number is a date and time in digits alone."""
+    return re.match(_DIGITS, text.strip()) is not None
+
+
 def forms_of(sample: Sequence[str]) -> tuple[str, ...]:
     """Return the forms in which some times may be written, `iso` or strftime patterns; empty if they are no times."""
     frame = pl.DataFrame({"text": list(sample)}, schema={"text": pl.String})
-    digits = frame.select(pl.col("text").str.contains(r"\d\D+\d").sum()).item() >= (1.0 - _GARBLED) * len(sample)
-    if not sample or not digits:
+    digits = frame.select(pl.col("text").str.contains(rf"\d\D+\d|{_DIGITS}").sum()).item()
+    if not sample or digits < (1.0 - _GARBLED) * len(sample):
         return ()
     frame = frame.select(pl.col("text"), plain=_plain(pl.col("text")))
     zoned = 2 * sum(map(names_zone, sample)) > len(sample)
@@ -112,6 +119,7 @@ def _plain(text: pl.Expr) -> pl.Expr:
         .str.replace(_PREFIX, "")
         .str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2")
         .str.replace(_FRACTION, "$1.$2")
+        .str.replace(_DIGITS, "$1 $2.${3}0")
     )
     plain = plain.str.replace(r"(\d),(\d)", "$1.$2")
     plain = plain.str.replace(r"(\d)\.?,?\s+(\d)", "$1 $2")  # 01.05.2024, 10:00

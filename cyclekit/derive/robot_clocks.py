@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from cyclekit.alignment.clocks.explained import CHANCE
 from cyclekit.alignment.recording_clocks import of_one_kind
@@ -135,7 +135,7 @@ def _wired(
             count = sum(max(len(mine), len(theirs)) for mine, theirs in edges)
             hits = sum(_near(mine, theirs) for mine, theirs in edges)
             chance = min(2.0 * WIRE_S * sum(len(theirs) for _, theirs in edges) / max(whole_s, 1e-9), 1.0)
-            if count and hits >= WIRED * count and binom.sf(hits - 1, count, chance) < level:
+            if count and hits >= WIRED * count and bdtrc(hits - 1, count, chance) < level:
                 return True
     return False
 

@@ -39,8 +39,9 @@ NEARLY = 0.9
 """The same for 1/10 s, 1/100 s and other ticks: whole numbers may count cycles as well, and those of 8 or 12 ms are a
 fifth off 1/100 s. Half of it takes them for it; twice of it would ask about all ticks."""
 _SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "days": 86400.0}
-USUAL = tuple(TimeUnit(name, seconds) for name, seconds in _SECONDS.items())
-"""Units in which logs usually count."""
+_TICKS = {"1/10 s": 0.1, "1/100 s": 0.01, "10 us": 1e-5, "100 ns": 1e-7, "10 ns": 1e-8}
+UNITS = tuple(TimeUnit(name, seconds) for name, seconds in (_SECONDS | _TICKS).items())
+"""Units in which logs count: the usual ones, and ticks."""
 CHANCE = 1e-4
 """Largest chance with which the rows of a log, were they spread evenly over the others' time, all lie at its beginning.
 With units a thousand apart three rows are enough, with ten apart five; half and twice change that by at most one."""
@@ -112,8 +113,8 @@ def better_unit(log: LogCard, other: LogCard) -> TimeUnit | None:
     rows = log.rows.get(log.tables[0], 0)
     if not _fit(log, log.time_units[0], rows, other).out:
         return None
-    fits = [unit for unit in USUAL if _fit(log, unit, rows, other).share >= MOST]
-    return fits[0] if len(fits) == 1 else None
+    fits = [fit for fit in (_fit(log, unit, rows, other) for unit in UNITS) if _fits(fit)]
+    return fits[0].unit if len(fits) == 1 else None
 
 
 def _kind(log: LogCard) -> int:
@@ -133,7 +134,7 @@ def _proven(log: Log, card: LogCard, rows: int, other: LogCard | None) -> tuple[
         LogError: There is none.
     """
     fits = [] if other is None else [_fit(card, unit, rows, other) for unit in card.time_units]
-    best = [fit for fit in fits if fit.share >= (MOST if fit.unit.name in _SECONDS else NEARLY)]
+    best = [fit for fit in fits if _fits(fit)]
     if other is not None and len(best) == 1 and all(fit.out for fit in fits if fit is not best[0]):
         (fit,) = best
         beside = f"{compact(fit.span_s)} s beside {compact(other.duration_s)} s of {other.id}"  # no file's name
@@ -162,6 +163,10 @@ def _fit(card: LogCard, unit: TimeUnit, rows: int, other: LogCard) -> _Fit:
     least = min((end / other.duration_s for _, end in ends), default=float("inf"))
     out = not ends or least > 1.0 / MOST or min(least, 1.0) ** max(rows - 1, 0) < CHANCE
     return _Fit(unit, last_s - first_s, share, out)
+
+
+def _fits(fit: _Fit) -> bool:
+    return fit.share >= (MOST if fit.unit.name in _SECONDS else NEARLY)
 
 
 def _in(unit: TimeUnit, time_s: float, read: TimeUnit) -> float:

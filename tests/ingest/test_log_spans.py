@@ -111,6 +111,7 @@ def test_dates_after_the_file_was_written_are_named(tmp_path: Path) -> None:
         (1.0, 'time_unit = "ms", ', "s"),
         (1e-6, 'time_unit = "ms", ', "us"),
         (1.0, 'time_unit = "min", ', "s"),
+        (0.1, "", "1/10 s"),
         (1.0, 'time_unit = "s", ', None),
         (1.0, "", None),
     ],
@@ -123,7 +124,7 @@ def test_a_stated_unit_in_which_a_log_does_not_last_as_long_as_the_robot_s_is_do
     logs.mkdir()
     rows = [f"{row / 10:.1f},{0.4 + 0.001 * (row % 100):.4f},0,0.3,100" for row in range(10 * LENGTH_S)]
     (logs / "robot.csv").write_text("\n".join(["t,x,y,z,s", *rows]) + "\n", encoding="utf-8")
-    times = [row / 2 / written_in for row in range(4, 2 * LENGTH_S - 8)]
+    times = [row / 2 / written_in for row in range(1, 2 * LENGTH_S - 1)]
     cells = [f"{t:.9g},1,1.000{n % 9},0.5" if of_people else f"{t:.9g},door,{n // 9 % 2}" for n, t in enumerate(times)]
     columns, mapped = ("t,who,x,y", 'x = "x", y = "y", person = "who"') if of_people else (
         "t,signal,value", 'signal = "signal", value = "value"'

@@ -57,10 +57,18 @@ def row_of(work: Path, name: str, kind: Kind, executions: int, seed: int, orders
             lambda: estimate_cycles(folder / "model", folder / "dataset", file, quantiles=LEVELS, takt_s=takt_s),
         )
     except CyclekitError as error:
-        return row | {"seconds": seconds, "refused": {each.name: str(error) for each in asked}, "orders": []}
+        return row | {
+            "seconds": seconds,
+            "refused": {each.name: _said(str(error), folder) for each in asked},
+            "orders": [],
+        }
     finally:
         shutil.rmtree(folder / "logs", ignore_errors=True)
-    row |= {"seconds": seconds, "refused": {each.name: each.reason for each in found.refused}, "takt_s": takt_s}
+    row |= {
+        "seconds": seconds,
+        "refused": {each.name: _said(each.reason, folder) for each in found.refused},
+        "takt_s": takt_s,
+    }
     answers = {each.name: each for each in found}
     rows = []
     for each in asked:
@@ -68,6 +76,11 @@ def row_of(work: Path, name: str, kind: Kind, executions: int, seed: int, orders
             chance_s = cell.beside(kind, each, executions, seed)
             rows.append(_order(each, answers[each.name], truths[each.name], chance_s, takt_s))
     return row | {"orders": rows}
+
+
+def _said(text: str, folder: Path) -> str:
+    """Return a message without the folder that this machine works in."""
+    return text.replace(str(folder / "_")[:-1], "")
 
 
 def _truth(work: Path, name: str, kind: Kind, asked: Asked) -> Cycles:

@@ -10,8 +10,10 @@ import pytest
 
 from benchmarks.contract.__main__ import QUICK, main, wanted_rows
 from benchmarks.contract.cells import CELLS, Free, Listed, Waiting, of_length
-from benchmarks.contract.compare import faults, summary
+from benchmarks.contract.compare import faults, key_of, summary
 from benchmarks.contract.measure import row_of
+
+CONTRACT = Path(__file__).parents[2] / "benchmarks" / "contract" / "contract.json"
 
 
 def row(errors: list[float], *, cell: str = "box-picking", inside: float = 0.9) -> dict[str, Any]:
@@ -20,6 +22,14 @@ def row(errors: list[float], *, cell: str = "box-picking", inside: float = 0.9) 
         for n, error in enumerate(errors)
     ]
     return {"cell": cell, "kind": "tracker", "executions": 20, "seed": 1, "refused": {}, "orders": orders}
+
+
+def test_the_stored_contract_is_whole_and_names_no_path_of_a_machine() -> None:
+    stored = json.loads(CONTRACT.read_text(encoding="utf-8"))
+    assert {key_of(one) for one in stored} == set(wanted_rows())
+    reasons = [reason for one in stored for reason in one["refused"].values()]
+    assert reasons
+    assert not [reason for reason in reasons if "/" in reason.partition(":")[0]]
 
 
 def test_a_row_that_is_as_good_is_no_fault() -> None:

@@ -138,7 +138,7 @@ def test_a_stated_unit_in_which_a_log_does_not_last_as_long_as_the_robot_s_is_do
     (logs / "cell.toml").write_text(cell, encoding="utf-8")
     ingest([logs], tmp_path / "dataset")
     (log,) = [one for one in Dataset.open(tmp_path / "dataset").recordings if "robot" not in one.tables]
-    said = [text for text in log.said if "as stated, its times last" in text]
+    said = [text for text in log.said if "as read, its times last" in text]
     assert len(said) == (found is not None)
     assert all(f'is time_unit = "{found}"?' in text for text in said)
 

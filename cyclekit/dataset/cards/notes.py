@@ -203,7 +203,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     ),
     "clock-apart": _clock_apart,
     "clock-unit": (
-        "in {read}, as stated, its times last {lasts} beside {robot_lasts} of {robot}; in {unit} they would last "
+        "in {read}, as read, its times last {lasts} beside {robot_lasts} of {robot}; in {unit} they would last "
         '{would_last}: is time_unit = "{unit}"?'
     ),
     "clock-future": (

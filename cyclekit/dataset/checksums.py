@@ -30,7 +30,7 @@ PIECE_BYTES = 1 << 18
 """Bytes per piece; smaller pieces would hash more slowly and make the card long."""
 EARLIER_PIECE_BYTES = 16 << 20
 """Bytes per piece of files listed without `piece_bytes`."""
-_STEP = 1 << 20
+_STEP = 1 << 17
 _YOUNG_NS = 2_000_000_000
 _AT_ONCE, _TAKEN = 4, 64
 """Number of threads, and number of pieces per task of a thread."""

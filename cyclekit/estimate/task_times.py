@@ -11,7 +11,7 @@ from scipy.special import ndtri, stdtrit
 from cyclekit.errors import CyclekitError, EstimateError
 from cyclekit.estimate.interludes import with_interludes
 from cyclekit.estimate.result import OWN_TASK, CycleEstimate, PlannedShare, TaskShare
-from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, conformal, most_outside
+from cyclekit.estimate.statistics.conformal import conformal, with_expected
 from cyclekit.estimate.statistics.distribution import CycleDistribution
 from cyclekit.estimate.statistics.resample import RESAMPLES, Z95
 from cyclekit.estimate.statistics.same_work import by_work
@@ -218,25 +218,12 @@ def _single(durations: Vector, judged: HeldOutCard | None, pace_error: float) ->
     if judged is None or len(judged.deviations) < len(LEVELS):
         off = widening(judged) * (durations - mean)
     else:
-        deviations = _expected_too(np.array(judged.deviations), (durations - mean) / sd if sd else np.zeros(1))
+        deviations = with_expected(np.array(judged.deviations), (durations - mean) / sd if sd else np.zeros(1))
         spread = np.array([conformal(deviations, level) for level in LEVELS])
         off = sd * np.interp(np.linspace(0.0, 1.0, len(durations)), LEVELS, spread)
         off = off - off.mean()
     own = float(off.std())
     return np.asarray(mean + off * (float(np.hypot(1.0, pace_error * mean / own)) if own else 1.0))
-
-
-def _expected_too(deviations: Vector, rolled: Vector) -> Vector:
-    """Return held-out deviations with PRIOR evenly spread ones of the rollout; alone, if they scatter more than that.
-
-    Args:
-        deviations: Deviations of held-out executions, in standard deviations of their rollouts, shape (N,).
-        rolled: The same of rolled-out cycles, shape (cycles,).
-    """
-    low, high = np.quantile(rolled, (OUTSIDE, 1.0 - OUTSIDE))
-    if np.count_nonzero((deviations < low) | (deviations > high)) > most_outside(len(deviations)):
-        return deviations
-    return np.concatenate([deviations, np.quantile(rolled, (np.arange(PRIOR) + 0.5) / PRIOR)])
 
 
 def widening(judged: HeldOutCard | None) -> float:

@@ -18,7 +18,7 @@ from cyclekit.estimate.cycle import walk as walking
 from cyclekit.estimate.finding import doubts_of, worst
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.statistics.bias import bias_of, half_width_95
-from cyclekit.estimate.statistics.conformal import conformal
+from cyclekit.estimate.statistics.conformal import PRIOR, conformal, with_expected
 from cyclekit.estimate.statistics.resample import interval_of_mean, resampled
 from cyclekit.estimate.validation.check import Check, check_rollout, compare, unseen_people
 
@@ -250,3 +250,14 @@ def test_few_executions_leave_the_model_error_wide():
     few, many = (interval_of_mean(means, model_error=0.01, judged=n, seed=0) for n in (4, 400))
     assert many[1] - many[0] == pytest.approx(2 * 1.96, rel=0.1)
     assert few[1] - few[0] > 1.4 * (many[1] - many[0])
+
+
+@pytest.mark.parametrize(("width", "alone"), [(0.5, False), (1.0, False), (3.0, True)])
+def test_logged_cycles_count_in_one_way_whether_given_as_times_or_as_ranks(width: float, alone: bool):
+    rolled = np.linspace(90.0, 110.0, 1999)
+    logged = 100.0 + width * np.linspace(-9.9, 9.9, 40)
+    ranks = (np.searchsorted(rolled, logged) + 0.5) / (len(rolled) + 1)
+    of_times, of_ranks = with_expected(logged, rolled), with_expected(ranks, np.array([0.0, 1.0]))
+    assert len(of_times) == len(of_ranks) == (40 if alone else 40 + PRIOR)
+    if not alone:
+        assert np.median(of_times[40:]) == pytest.approx(100.0)

@@ -19,10 +19,14 @@ from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RectangleCard, RegionCard, RuleCard, SignalCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.baseline import logged_cycle
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.networks.weights import Weights
 from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.samples.distances import TO_TCP
 from cyclekit.plots.colours import scaling_hex
 from cyclekit.report import findings
 from cyclekit.report.calibration import calibration
+from cyclekit.report.figures.predictions import CALIBRATION
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.inputs import PageInputs
 from cyclekit.report.maps import lost_map, zone_map
@@ -156,6 +160,28 @@ def test_a_calibrated_model_lies_on_the_line_and_a_biased_one_does_not(dataset):
     assert right.worst < 0.02
     assert calibration(dataset.samples(), names, Biased()).worst > 0.3
     assert calibration(dataset.samples(), [], DistanceModel()) is None
+
+
+def test_the_answering_rule_is_calibrated_not_the_network_beside_it(dataset):
+    limits = tuple(
+        LimitCard(scaling=level, within=near(metres)) for level, metres in zip(LEVELS, THRESHOLDS_M, strict=False)
+    )
+    rule = RuleCard(family=TO_TCP, levels=LEVELS, limits=limits, explained=1.0)
+    names = tuple(dataset.executions["execution"].to_list())
+    layers = ((np.zeros((6, 5), np.float32), np.eye(5, dtype=np.float32)[0]),)  # it always says level 0
+    worst = {}
+    for answering in (None, rule):
+        network = TrainedModel("now", "classifier", 0.0, LEVELS, Weights(layers, 1), TrainingCard(rule=answering))
+        page = PageInputs(load_texts(), dataset, network)
+        page.__dict__["judged"] = {"executions": names}
+        (chart,) = CALIBRATION.charts(page)
+        worst[answering is None] = max(abs(_percent(row[0]) - _percent(row[1])) for row in chart.numbers.rows)
+    assert worst[False] < 2
+    assert worst[True] > 30
+
+
+def _percent(cell: str) -> float:
+    return float(cell.removesuffix("%").strip("\N{NO-BREAK SPACE} "))
 
 
 def test_tables_of_the_cell_file_stand_on_both_plans(dataset):

@@ -20,7 +20,7 @@ from cyclekit.estimate.joint.unexplained import unexplained_waits
 from cyclekit.estimate.robot.safety import OnStates
 from cyclekit.estimate.statistics.bias import bias_of
 from cyclekit.estimate.statistics.by_order import error_by_order
-from cyclekit.estimate.statistics.conformal import OUTSIDE, PRIOR, most_outside
+from cyclekit.estimate.statistics.conformal import with_expected
 from cyclekit.estimate.validation.check import FEW_EXECUTIONS, MAX_EXECUTIONS, MIN_EXECUTIONS, OWN_BIAS, Check, compare
 from cyclekit.estimate.validation.logged import logged_durations, logged_sequences
 from cyclekit.estimate.validation.several import open_wait
@@ -325,9 +325,9 @@ def _unseen_people_s(cell: JointCell, executions: Sequence[str]) -> float:
 def _scatter(logged: Vector, simulated: Floats) -> _Scatter:
     """Return `scores` and `least_spread` of logged cycles (E,) in rollouts (E, K) that are too narrow, else `ranks`."""
     ranks = ((simulated < logged[:, None]).sum(axis=1) + 0.5) / (simulated.shape[1] + 1)
-    outside = np.count_nonzero(np.abs(ranks - 0.5) > 0.5 - OUTSIDE)
-    if outside <= most_outside(len(ranks)):
-        return {"ranks": (*ranks.tolist(), *((np.arange(PRIOR) + 0.5) / PRIOR).tolist())}
+    expected = with_expected(ranks, np.array([0.0, 1.0]))
+    if len(expected) > len(ranks):
+        return {"ranks": tuple(expected.tolist())}
     means = simulated.mean(axis=1)
     off = logged - means
     least = LEAST_SPREAD * float(np.median(np.abs(off) / means)) / MIDDLE

@@ -86,11 +86,11 @@ def test_an_agent_that_the_cell_file_names_must_be_there(tmp_path):
 
 
 def test_columns_of_other_names_are_named_in_the_map(tmp_path):
-    path = table(tmp_path / "a.csv", "Wer;Was;Von [ms];Bis [ms]", "Anna;a;0;1500")
+    path = table(tmp_path / "a.csv", "Wer;Was;Ab [ms];Zu [ms]", "Anna;a;0;1500")
     assert not ADAPTER.recognises(path)
     with pytest.raises(LogError, match="no column is known for agent, task, start, end"):
         read(path)
-    said = {"agent": "Wer", "task": "Was", "start": "Von [ms]", "end": "Bis [ms]", "time_unit": "ms"}
+    said = {"agent": "Wer", "task": "Was", "start": "Ab [ms]", "end": "Zu [ms]", "time_unit": "ms"}
     assert spans(read(path, **said)) == [("robot", "a", 0.0, 1.5)]
     with pytest.raises(LogError, match="no column 'Wen'") as caught:
         read(path, **{**said, "agent": "Wen"})

@@ -1,4 +1,4 @@
-"""Task lists: agent, task, start and end, as CSV, JSON (also of MongoDB) or XES.
+"""Task lists: agent, task, start and end, as CSV, JSON (also of MongoDB and OCEL) or XES.
 
 Written by task planners, MES exports and process mining: an agent, a task, its start and end, and often the execution,
 planned times and outcome. They hold no positions. Agents called human, operator, person or worker are people, all
@@ -7,7 +7,8 @@ others robots, unless `robot` and `operator` in `[sources.map]` assign them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,21 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog
 from cyclekit.text.numbers import count
+from cyclekit_adapters.tasks.lifecycle import NO_START, TRANSITIONS, paired
+from cyclekit_adapters.tasks.ocel import is_ocel
 from cyclekit_adapters.tasks.task_cells import task_table
-from cyclekit_adapters.tasks.task_columns import is_task_list, require, settings_of
+from cyclekit_adapters.tasks.task_columns import NEEDED, columns_in, is_task_list, require, settings_of
 from cyclekit_adapters.tasks.task_json import JsonRecords, json_names, table_of
-from cyclekit_adapters.tasks.xes import FIELDS, NO_START, XesRecords, is_xes
-from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, header_names, joined, read_blocks
+from cyclekit_adapters.tasks.xes import FIELDS, XesRecords, is_xes
+from cyclekit_adapters.text.delimited import (
+    TextLayout,
+    TextRows,
+    delimiter_of,
+    fields_of,
+    header_names,
+    joined,
+    read_blocks,
+)
 from cyclekit_adapters.text.text_blocks import encoding_notes, file_encoding, head_lines, head_of
 from cyclekit_adapters.text.text_rows import SET_ASIDE
 
@@ -29,8 +40,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.adapter import RowKind
+    from cyclekit_adapters.tasks.lifecycle import Record
     from cyclekit_adapters.tasks.task_columns import Settings
-    from cyclekit_adapters.tasks.task_json import Record
 
 MAX_TASKS = 1_000_000
 """Maximum number of tasks in one list, which is held in memory as a whole."""
@@ -66,8 +77,8 @@ class _TaskList:
         head = head_of(path)
         first = head.lstrip("\ufeff \t\r\n")[:1]
         if first in ("{", "["):
-            return json_names(head) is not None
-        return is_xes(head) if first == "<" else is_task_list(_header(head.partition("\n")[0])[0])
+            return is_ocel(head) or json_names(head) is not None
+        return is_xes(head) if first == "<" else _is_table(head)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         settings = settings_of(options)
@@ -105,6 +116,18 @@ def _header(line: str) -> tuple[tuple[str, ...], str]:
     return tuple(name.strip().strip('"') for name in names), delimiter
 
 
+def _is_table(head: str) -> bool:
+    """Return whether these are the first characters of a task list; without starts, its rows have to start and end."""
+    line, _, rest = head.partition("\n")
+    names, delimiter = _header(line)
+    found = columns_in(names)
+    if not is_task_list(names) or "start" in found:
+        return is_task_list(names)
+    rows = (fields_of(row, delimiter) for row in rest.split("\n")[:-1])
+    at = names.index(found["transition"])
+    return any(row[at].strip().lower() in TRANSITIONS for row in rows if len(row) > at)
+
+
 def _of_table(path: Path, settings: Settings) -> _Cells:
     names, delimiter = _header(next(iter(head_lines(path)), ""))
     columns = require(path, names, settings.columns)
@@ -118,7 +141,21 @@ def _of_table(path: Path, settings: Settings) -> _Cells:
     rows = joined(blocks, [], texts)
     frame = rows.frame.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
     aside: list[tuple[int | None, str]] = [(row, reason) for row, reason in rows.set_aside.iter_rows()]
-    return _Cells(frame, columns, rows.rows_read, "line", "a table", aside, decimal_comma=delimiter != ",")
+    cells = _Cells(frame, columns, rows.rows_read, "line", "a table", aside, decimal_comma=delimiter != ",")
+    return cells if "start" in columns else _of_pairs(path, cells)
+
+
+def _of_pairs(path: Path, cells: _Cells) -> _Cells:
+    """Return the tasks whose starts and ends are rows of their own."""
+    rows = cells.frame.iter_rows(named=True)
+    events = [{key: str(text) for key, text in row.items() if text is not None} for row in rows]
+    passed_over, aside = Counter[str](), list(cells.aside)
+    table = table_of(_started(path, paired(events, passed_over), aside), FIELDS, MAX_TASKS + 1)
+    _require_starts(path, table, aside)
+    columns = {key: cells.columns.get(key, key) for key in FIELDS if table[key].count() or key in NEEDED}
+    columns["start"] = cells.columns["end"]
+    said = (*cells.warnings, *_passed(passed_over))
+    return replace(cells, frame=table.select("source_row", *columns), columns=columns, aside=aside, warnings=said)
 
 
 def _of_json(path: Path, settings: Settings) -> _Cells:
@@ -136,7 +173,8 @@ def _of_json(path: Path, settings: Settings) -> _Cells:
         aside = [(frame.height, str(records.broken))]
     passed = [f"{records.others} elements are not objects and are skipped"] if records.others else []
     passed += [_cut(str(records.broken))] if records.broken is not None else []
-    return _Cells(frame, columns, frame.height, "row", "JSON", aside, tuple(passed))
+    cells = _Cells(frame, columns, frame.height, "row", "JSON", aside, tuple(passed))
+    return cells if "start" in columns else _of_pairs(path, cells)
 
 
 def _cut(where: str) -> str:
@@ -150,24 +188,33 @@ def _of_xes(path: Path, settings: Settings) -> _Cells:
     records = XesRecords(path)
     aside: list[tuple[int | None, str]] = []
     table = table_of(_started(path, iter(records), aside), FIELDS, MAX_TASKS + 1)
-    if table.is_empty() and aside:
-        cause = "its events say when tasks were completed and not when they started (lifecycle:transition)"
-        raise DamagedLog(path, cause, cure="Export start events too.")
+    _require_starts(path, table, aside)
     if table.is_empty() and records.broken is not None:
         raise DamagedLog(path, records.broken, cure="Copy it again.")
-    columns = {key: key for key in FIELDS if table[key].count() or key in ("agent", "task", "start", "end")}
-    warnings = [f"{count} events {name!r} are skipped" for name, count in records.passed_over.items()]
+    columns = {key: key for key in FIELDS if table[key].count() or key in NEEDED}
+    warnings = _passed(records.passed_over)
     if records.broken is not None:
         aside.append((None, records.broken))
         warnings.append(_cut(records.broken))
     return _Cells(table.select("source_row", *columns), columns, records.events, "row", "XES", aside, tuple(warnings))
 
 
+def _passed(over: Mapping[str, int]) -> list[str]:
+    return [f"{count} events {name!r} are skipped" for name, count in over.items()]
+
+
+def _require_starts(path: Path, table: pl.DataFrame, aside: list[tuple[int | None, str]]) -> None:
+    if table.is_empty() and aside:
+        cause = "its events say when tasks were completed and not when they started (lifecycle:transition)"
+        raise DamagedLog(path, cause, cure="Export start events too.")
+
+
 def _started(path: Path, records: Iterator[Record], aside: list[tuple[int | None, str]]) -> Iterator[Record]:
     """Yield the tasks that have a start; the others are set aside."""
     for record in records:
         if NO_START in record:
-            aside.append((None, f"{record[NO_START][:60]!r} completes but never started"))
+            row = record.get("source_row")
+            aside.append((None if row is None else int(row), f"{record[NO_START][:60]!r} completes but never started"))
             _few(path, len(aside))
         else:
             yield record

@@ -25,30 +25,42 @@ if TYPE_CHECKING:
 WHERE = "[sources.map] of a task list"
 NAMES: Mapping[str, tuple[str, ...]] = {
     "agent": ("agent", "agentname", "agentid", "resource", "resourcename", "orgresource", "performer", "performedby",
-              "executor", "executedby", "actor", "assignee", "assignedto", "who"),
+              "executor", "executedby", "actor", "assignee", "assignedto", "who", "resourceid", "ressource",
+              "bearbeiter", "employee"),
     "task": ("task", "taskname", "activity", "activityname", "conceptname", "action", "actionname", "skill",
-             "skillname", "operation", "operationname", "name", "taskid", "activityid"),
+             "skillname", "operation", "operationname", "name", "taskid", "activityid", "aktivität", "tätigkeit",
+             "aufgabe", "arbeitsschritt", "arbeitsgang", "vorgang", "schritt", "step"),
     "start": ("start", "tstart", "starttime", "starttimestamp", "startdate", "startdatetime", "startedat", "started",
               "timestart", "realstart", "startreal", "tstartreal", "actualstart", "startactual", "begin", "tbegin",
-              "begintime", "from"),
+              "begintime", "from", "begintimestamp", "beginn", "anfang", "startzeit", "startzeitpunkt", "beginnzeit",
+              "startuhrzeit", "startdatum", "iststart", "istbeginn", "gestartet", "von"),
     "end": ("end", "tend", "endtime", "endtimestamp", "enddate", "enddatetime", "endedat", "ended", "timeend",
             "realend", "endreal", "tendreal", "actualend", "endactual", "finish", "tfinish", "finishtime", "finished",
             "finishedat", "completiontime", "completedat", "stop", "stoptime", "to", "until", "completetimestamp",
-            "timetimestamp"),
+            "timetimestamp", "complete", "completed", "completetime", "completiontimestamp", "finishtimestamp", "ende",
+            "endzeit", "endzeitpunkt", "endezeit", "enduhrzeit", "enddatum", "istende", "beendet", "fertig", "bis",
+            "timestamp"),
     "duration": ("duration", "tduration", "taskduration", "actualduration", "durationactual", "realduration",
-                 "durationreal", "elapsed", "elapsedtime", "timetaken"),
+                 "durationreal", "elapsed", "elapsedtime", "timetaken", "dauer", "istdauer"),
     "execution": ("execution", "executionid", "executionname", "run", "runid", "recipe", "recipeid", "recipename",
-                  "cycle", "cycleid", "case", "caseid", "caseconceptname", "trial", "trialid", "episode"),
+                  "cycle", "cycleid", "case", "caseid", "caseconceptname", "trial", "trialid", "episode", "zyklus",
+                  "durchlauf", "fall"),
     "planned_start": ("plannedstart", "startplanned", "tstartplanned", "plannedtstart", "plannedstarttime",
                       "starttimeplanned", "scheduledstart", "startscheduled", "tstartscheduled", "planstart",
-                      "planstarttime", "notbefore"),
+                      "planstarttime", "notbefore", "sollstart", "sollbeginn", "planbeginn"),
     "planned_end": ("plannedend", "endplanned", "tendplanned", "plannedtend", "plannedendtime", "endtimeplanned",
-                    "scheduledend", "endscheduled", "tendscheduled", "planend", "planendtime", "plannedfinish"),
+                    "scheduledend", "endscheduled", "tendscheduled", "planend", "planendtime", "plannedfinish",
+                    "sollende", "planende"),
     "outcome": ("outcome", "result", "success", "succeeded", "status", "taskstatus", "state", "taskstate"),
+    "transition": ("lifecycletransition", "lifecycleid", "lifecycle", "lifecyclestate", "registrationtype",
+                   "eventtype"),
+    "instance": ("conceptinstance", "activityinstanceid", "activityinstance", "taskinstance", "taskinstanceid"),
 }  # fmt: skip
 """Field -> usual column names, in lower case with letters and digits only, the most likely first."""
+_OF_EVENTS = ("time", "datetime", "date", "zeit", "zeitstempel", "zeitpunkt")
+"""Names of the time of a row that is the start or the end of a task, which its transition tells."""
 NEEDED = ("agent", "task", "start", "end")
-"""Fields of every task list; a `duration` may stand for the `end`."""
+"""Fields of every task list; a `duration` may stand for the `end`, and a `transition` for the `start`."""
 TIMES = ("start", "end", "planned_start", "planned_end")
 _TIME_NAMES = frozenset(name for field in (*TIMES, "duration") for name in NAMES[field])
 _PEOPLE = {"human", "operator", "person", "worker", "technician", "werker", "bediener", "mensch", "mitarbeiter"}
@@ -125,6 +137,8 @@ def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> 
         if key not in found and column is not None:
             found[key] = column
             taken.add(column)
+    if "transition" in found and not {"start", "end"} & set(found):
+        found |= dict([("end", stems[word]) for word in _OF_EVENTS if word in stems][:1])
     if "end" in found and "duration" not in (given or {}):
         found.pop("duration", None)
     return found
@@ -132,7 +146,8 @@ def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> 
 
 def missing_in(found: Mapping[str, str]) -> list[str]:
     """Return the fields of NEEDED that have no column."""
-    return [key for key in NEEDED if key not in found and not (key == "end" and "duration" in found)]
+    instead = {"end": "duration", "start": "transition"}
+    return [key for key in NEEDED if key not in found and instead.get(key) not in found]
 
 
 def is_task_list(names: Sequence[str]) -> bool:

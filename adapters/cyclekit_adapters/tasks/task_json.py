@@ -1,4 +1,4 @@
-"""Task lists in JSON: an array of objects, one object per line, or arrays inside of objects.
+"""Task lists in JSON: an array of objects, one object per line, arrays inside of objects, or an OCEL.
 
 An object around an array of tasks may hold what they share, such as the execution or the agent.
 
@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from cyclekit_adapters.tasks.lifecycle import Record
+from cyclekit_adapters.tasks.ocel import is_ocel, ocel_events
 from cyclekit_adapters.tasks.task_columns import is_task_list
 from cyclekit_adapters.text.json_parts import BrokenJson, documents, json_pieces, parts
 
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-Record = dict[str, str]
 _NUMBERS = ("$numberDouble", "$numberLong", "$numberInt", "$numberDecimal")
 _1970 = datetime(1970, 1, 1, tzinfo=UTC)
 _DEEPEST = 3
@@ -90,6 +91,9 @@ class JsonRecords:
         whole = (piece for part in ([first.lstrip("\ufeff")], pieces) for piece in part)
         is_array = first.lstrip("\ufeff \t\r\n").startswith("[")
         try:
+            if is_ocel(first):
+                yield from map(_flat, ocel_events(self._path))
+                return
             for number, (_, value) in enumerate(parts(whole), 1) if is_array else ():
                 yield from self._records(value, _shared({}, "executions", number, value))
             for value in () if is_array else documents(whole):
@@ -127,13 +131,13 @@ def _shared(around: Record, key: str, number: int, element: object) -> Record:
 
 
 def table_of(records: Iterator[Record], names: Sequence[str], most: int) -> pl.DataFrame:
-    """Return the first `most` records as texts: columns `names` and `source_row`, the record number from 0."""
+    """Return the first `most` records as texts: columns `names` and `source_row`, their own or the number from 0."""
     schema = {"source_row": pl.Int64(), **dict.fromkeys(names, pl.String())}
     frames = [pl.DataFrame(schema=schema)]
     count = 0
     while block := list(islice(records, min(50_000, most - count))):
         columns = {name: [record.get(name) for record in block] for name in names}
-        rows = range(count, count + len(block))
+        rows = [int(record.get("source_row", at)) for at, record in enumerate(block, count)]
         frames.append(pl.DataFrame({"source_row": rows, **columns}, schema=schema))
         count += len(block)
     return pl.concat(frames)

@@ -8,11 +8,12 @@ define entities, is refused, and so is a tag of megabytes or excessive nesting.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
+from collections import Counter
 from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.tasks.lifecycle import Record, paired
 from cyclekit_adapters.tasks.task_columns import columns_in
 from cyclekit_adapters.text.text_blocks import characters_of
 
@@ -20,10 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-Record = dict[str, str]
 FIELDS = ("agent", "task", "start", "end", "execution", "planned_start", "planned_end", "outcome")
-NO_START = "\x1fno start"
-"""Key of a record whose task completes without a start."""
 _LONGEST_TAG = 1 << 20
 _DEEPEST = 64
 _MAX_HELD = 1 << 27
@@ -31,7 +29,6 @@ _MAX_HELD = 1 << 27
 whole. A size; it is 300 bytes for a usual event, so 400,000 events."""
 _EACH = 60
 _PIECE = 1 << 16
-_ENDS = {"complete": None, "ate_abort": "failed", "pi_abort": "failed", "withdraw": "failed", "abort": "failed"}
 _VALUES = {"string", "date", "int", "float", "boolean", "id"}
 
 
@@ -80,28 +77,7 @@ class XesRecords:
     def _taken(self, document: _Document, *, last: bool = False) -> Iterator[Record]:
         for execution, events in document.taken(last=last):
             self.events += len(events)
-            yield from self._tasks(execution, events)
-
-    def _tasks(self, execution: str | None, events: list[Record]) -> Iterator[Record]:
-        waiting = _Waiting()
-        for event in events:
-            record = _record(event, execution)
-            transition = event.get("lifecycle:transition", "complete").lower()
-            if "start" in record:
-                yield record
-            elif transition == "start":
-                record["start"] = record.pop("end", "")
-                waiting.add(record)
-            elif transition in _ENDS:
-                begun = waiting.taken(record)
-                if begun is None:
-                    yield {NO_START: event.get("concept:name", "")}
-                    continue
-                outcome = _ENDS[transition]
-                yield {**begun, **record, **({"outcome": outcome} if outcome else {})}
-            else:
-                self.passed_over[transition] += 1
-        yield from waiting.left.values()
+            yield from paired((_record(event, execution) for event in events), self.passed_over)
 
 
 def _record(event: Record, execution: str | None) -> Record:
@@ -113,38 +89,10 @@ def _record(event: Record, execution: str | None) -> Record:
         "end": "time:timestamp",
         "agent": "org:resource",
         "instance": "concept:instance",
+        "transition": "lifecycle:transition",
     }
     record |= {key: event[name] for key, name in usual.items() if name in event}
     return record | ({} if execution is None else {"execution": execution})
-
-
-class _Waiting:
-    """Started tasks that have not ended; those that an end may match are found without looking at the others.
-
-    Attributes:
-        left: Number -> task, in the order of their starts.
-    """
-
-    def __init__(self) -> None:
-        self.left: dict[int, Record] = {}
-        self._started = 0
-        self._queues: defaultdict[tuple[str | None, ...], deque[int]] = defaultdict(deque)
-
-    def add(self, begun: Record) -> None:
-        self.left[self._started] = begun
-        what = (begun.get("task"), begun.get("instance"))
-        for key in (what, (*what, begun.get("agent"))):
-            self._queues[key].append(self._started)
-        self._started += 1
-
-    def taken(self, ended: Record) -> Record | None:
-        """Remove and return the first started task that matches one that ends; None if there is none."""
-        what = (ended.get("task"), ended.get("instance"))
-        queue = self._queues[(*what, ended["agent"]) if "agent" in ended else what]
-        while queue:
-            if (begun := self.left.pop(queue.popleft(), None)) is not None:
-                return begun
-        return None
 
 
 class _Document:

@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from cyclekit.api.gate import gate_takt as gate_takt
     from cyclekit.api.ingest import ingest_logs as ingest_logs
     from cyclekit.api.init import start_project as start_project
+    from cyclekit.api.inspect import LoggedHistory as LoggedHistory
     from cyclekit.api.inspect import draft_cell as draft_cell
     from cyclekit.api.inspect import inspect_logs as inspect_logs
+    from cyclekit.api.inspect import logged_history as logged_history
     from cyclekit.api.inspect import plan_recordings as plan_recordings
     from cyclekit.api.levels import ScalingLevels as ScalingLevels
     from cyclekit.api.levels import find_levels as find_levels
@@ -91,7 +93,7 @@ _NAMES = {
     "api.export": "export_model",
     "api.gate": "gate_takt",
     "api.ingest": "ingest_logs",
-    "api.inspect": "draft_cell inspect_logs plan_recordings",
+    "api.inspect": "LoggedHistory draft_cell inspect_logs logged_history plan_recordings",
     "api.levels": "ScalingLevels find_levels",
     "api.plan": "plan_order",
     "api.init": "start_project",

@@ -214,6 +214,20 @@ pause; so the eight `lost_` columns add up to all lost time. The time of a cause
 with those before it: slider, limits, input, person, protective stop. A task from a task list has only start, end and
 plan: no places, no motion, no time account."""
 
+HISTORY: Mapping[str, Column] = {
+    "execution": Column(TEXT, "", "name of the execution"),
+    "agent": Column(TEXT, "", "robot, operator, the name of an agent of a task list, or `signal`"),
+    "activity": Column(TEXT, "", "the task, or the signal"),
+    "place": Column(TEXT, "", "place of the task; null = from a task list, or a signal"),
+    "begin_s": Column(F64, "s", "start of the motion or task, or the signal came on; null = on before the execution"),
+    "there_s": Column(F64, "s", "arrival at the place; null = from a task list, or not reached"),
+    "ready_s": Column(F64, "s", "end of the own work, after which the agent waits; null = not logged"),
+    "end_s": Column(F64, "s", "end of work and wait, or the signal went off; null = after the log or the execution"),
+    "waited_for": Column(TEXT, "", "event that ended the wait, such as `operator leaves fixture`; null = unknown"),
+    "cut": Column(FLAG, "", "the end of the log or of the execution cuts it: it lasted at least so long"),
+}
+"""What each agent did, and when each signal was on; times since the start of the execution."""
+
 SCALING_CAUSES = ("person", "input", "limits", "stop", "unknown")
 """Causes of a speed scaling below 1, into which `safety_loss_s` is split."""
 LOST_CAUSES = ("person", "slider", "input", "limits", "wait", "pause", "stop", "unknown")

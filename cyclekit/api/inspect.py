@@ -5,13 +5,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import Sequences, path_of, sequences_of
+from cyclekit.api.given import Sequences, path_of, place_of, sequences_of
 from cyclekit.config import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.dataset.history import history_of, kinds_of
 from cyclekit.errors import ConfigError, DatasetError, OutputError
 from cyclekit.estimate.what_to_log import WITHIN, RecordingPlan, what_to_log
 from cyclekit.ingest.discover import suggest_cell
@@ -19,8 +23,11 @@ from cyclekit.inspect.facts import DatasetDescription, Description
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.outputs import check_writable
 from cyclekit.storage.remote.folders import local
-from cyclekit.text.numbers import given
+from cyclekit.text.numbers import counted, given
 from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,6 +53,60 @@ class CellDraft(Result):
 
     def _lines(self) -> list[str]:
         return [f"{len(self.cell.splitlines())} lines, {self.unsure} of them not sure"]
+
+
+@dataclass(frozen=True, repr=False)
+class LoggedHistory(Result):
+    """What each agent did in logged executions, and when each signal was on.
+
+    Attributes:
+        rows: Table HISTORY; times since the start of the execution, s.
+        executions: Number of executions in the dataset.
+        gantt: File of the time chart; None if not drawn.
+    """
+
+    rows: pl.DataFrame
+    executions: int
+    gantt: Path | None = None
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        written = {"gantt": str(self.gantt)} if self.gantt else {}
+        return {"executions": self.executions, "rows": self._frame_rows(), **written}
+
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return self.rows.to_dicts()
+
+    def _lines(self) -> list[str]:
+        shown = self.rows["execution"].n_unique()
+        return [f"{counted(self.rows.height, 'row')}, {shown} of {counted(self.executions, 'execution')}"]
+
+
+@checked
+def logged_history(
+    dataset: Dataset | Place, *, executions: Sequence[str] = (), gantt: Place | None = None
+) -> LoggedHistory:
+    """Return what each agent did in logged executions: tasks of robot and operator, task lists and signals alike.
+
+    Args:
+        dataset: A dataset, its folder or its URL.
+        executions: Names of executions; default: all.
+        gantt: Also draw the first executions as a time chart: a .svg, .png or .pdf file.
+
+    Raises:
+        UnknownName: There is no such execution.
+        DatasetError: There is no dataset.
+        OutputError: The chart would replace the dataset, or a file that is not a picture of cyclekit.
+    """
+    file = path_of(gantt)
+    check_output(file, "picture", [place_of(dataset)], option="--gantt", endings=(".svg", ".png", ".pdf"))
+    opened = Dataset.of(dataset)
+    rows = history_of(opened, list(executions) or None)
+    if file is not None:
+        from cyclekit.plots.history import draw_history  # local, as importing matplotlib takes long
+
+        draw_history(file, rows, kinds_of(opened))
+    return LoggedHistory(rows, opened.executions.height, file)
 
 
 @checked

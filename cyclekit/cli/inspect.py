@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cyclekit.cli.options import FollowLinks, Json, Quiet
-from cyclekit.cli.terminal import Terminal
+from cyclekit.cli.terminal import Terminal, table
 from cyclekit.errors import command_line
+from cyclekit.text.numbers import counted, fixed
+from cyclekit.text.plain_text import shown_task
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 EXAMPLE = "cyclekit inspect logs --write-cell"
 
@@ -35,6 +40,16 @@ def inspect(
     verify: Annotated[
         bool, typer.Option("--verify", help="Check that every file of a dataset is as it was written.")
     ] = False,
+    history: Annotated[
+        bool, typer.Option("--history", help="Of a dataset: what each agent did, and when each signal was on.")
+    ] = False,
+    execution: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID", help="With --history: an execution, or its number from 1; repeat for several."),
+    ] = None,
+    gantt: Annotated[
+        Path | None, typer.Option(help="With --history: also draw a time chart here: SVG, PNG or PDF.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -49,6 +64,11 @@ def inspect(
     if write_cell:
         _give_cell(path, cell_file, terminal, follow_links=follow_links)
         return
+    if (execution or gantt) and not history:
+        raise typer.BadParameter("--execution and --gantt go with --history")
+    if history:
+        _tell_history(path, execution or [], gantt, terminal)
+        return
     from cyclekit.api.inspect import inspect_logs
     from cyclekit.cli.facts import page
     from cyclekit.inspect.facts import DatasetDescription
@@ -60,6 +80,40 @@ def inspect(
     checked = found.verified if isinstance(found, DatasetDescription) else None
     whole = "" if checked is None else f"{checked} files, all as written"
     terminal.answer(found.to_dict(), page(found), whole)
+
+
+def _tell_history(path: str, executions: Sequence[str], gantt: Path | None, terminal: Terminal) -> None:
+    """Print what each agent did in the named executions; in the first one if none is named."""
+    from cyclekit.api.inspect import logged_history
+
+    with terminal.progress("reading"):
+        found = logged_history(path, executions=executions, gantt=gantt)
+    if gantt is not None:
+        terminal.remark(f"written: {gantt}")
+    tables = [] if terminal.json else found.rows.partition_by("execution", maintain_order=True)
+    shown = tables if executions else tables[:1]
+    head = ["agent", "activity", "begin s", "there", "ready", "end", "waited for"]
+    times = ("begin_s", "there_s", "ready_s", "end_s")
+    parts = [
+        table(
+            head,
+            [
+                [
+                    row["agent"],
+                    shown_task(row["activity"]),
+                    *(fixed(row[name], 1) for name in times),
+                    row["waited_for"] or "",
+                ]
+                for row in rows.iter_rows(named=True)
+            ],
+            title=rows["execution"][0],
+        )
+        for rows in shown
+    ]
+    if len(tables) > len(shown):
+        more = counted(len(tables) - len(shown), "more execution")
+        parts.append(f"{more}: --execution with a name or number shows one, --json all")
+    terminal.answer(found.to_dict(), *(parts or ["no task is known"]))
 
 
 def _give_cell(path: str, cell_file: Path | None, terminal: Terminal, *, follow_links: bool) -> None:

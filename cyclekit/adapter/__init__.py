@@ -142,7 +142,7 @@ class Proposal:
 
     Attributes:
         key: Key of the source, or of its map.
-        value: Value that TOML can represent.
+        value: Value that TOML can represent; an empty text if only the user can know it.
         why: Evidence for the value, in a few words.
         sure: True if no other value is possible; otherwise the user decides.
     """

@@ -122,7 +122,8 @@ def _give_cell(path: str, cell_file: Path | None, terminal: Terminal, *, follow_
 
     draft = draft_cell(path, cell_file, follow_links=follow_links)
     sure = "to use it, type\n  "
-    doubt = f'{draft.unsure} lines are not sure: look for "# ?" in it, then type\n  ' if draft.unsure else sure
+    lines = "1 line is" if draft.unsure == 1 else f"{draft.unsure} lines are"
+    doubt = f'{lines} not sure: look for "# ?" in it, then type\n  ' if draft.unsure else sure
     if cell_file is None:
         terminal.answer(draft.to_dict(), draft.cell.rstrip("\n"))
         return

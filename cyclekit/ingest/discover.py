@@ -21,7 +21,7 @@ from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, CyclekitError, LogError
 from cyclekit.ingest.merge_sources import kind_of, merge_similar
-from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown
+from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown, without_draft
 from cyclekit.storage.files import resolved
 from cyclekit.storage.identify import kind_of_path
 from cyclekit.storage.safe_path import leads_out, real_path, valid_name
@@ -139,7 +139,9 @@ def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[d
                 if path in roots:
                     raise
                 continue
-            if proposed is not None and (path in roots or not _OF_USE.isdisjoint(p.key for p in proposed[1].map)):
+            if proposed is None and path in roots and (none := without_draft(path)):
+                raise none
+            if proposed is not None and (path in roots or any(p.key in _OF_USE and p.value for p in proposed[1].map)):
                 found[shown] = (proposed[0].name, proposed[1])
                 kinds[kind_of(shown)] += 1
     return found, unread

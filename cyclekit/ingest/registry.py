@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 GROUP = "cyclekit.adapters"
 SMALL_BYTES = 1 << 20
 _CURE = "Check the file."
+_BY_HAND = 'Map its columns in cell.toml, with adapter = "csv" (tasks: "task-list")'
 _OLE = b"\xd0\xcf\x11\xe0"
 _LFS = b"version https://git-lfs.github.com/spec/"
 
@@ -285,11 +286,19 @@ def why_unknown(path: Path) -> UnknownFormat:
         cause = "an old Excel workbook (.xls), or one with a password"
         return UnknownFormat(path, cause, cure="Save it as .xlsx without a password, or as CSV.")
     if _is_table(head):
-        cause = 'a table that no adapter recognises: map its columns in cell.toml, with adapter = "csv"'
-        cause += ' (tasks: "task-list")'
+        cause = f"a table that no adapter recognises: {_BY_HAND[0].lower()}{_BY_HAND[1:]}"
         draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
         return UnknownFormat(path, f"{cause} (docs/adapters.md)", cure=f"Draft the map: {draft}")
     return UnknownFormat(path, "no adapter recognises this content", cure=cure)
+
+
+def without_draft(path: Path) -> UnknownFormat | None:
+    """Return the error for a table of which no adapter proposes a map; None if the file is no table."""
+    with path.open("rb") as file:
+        if not _is_table(file.read(4096)):
+            return None
+    cause = "no map can be drafted: it has no rows of numbers or times in as many cells as a line of names"
+    return UnknownFormat(path, cause, cure=f"{_BY_HAND}, by hand (docs/adapters.md).")
 
 
 def _is_table(head: bytes) -> bool:

@@ -343,6 +343,97 @@ def test_the_place_is_found_as_public_logs_name_it(tmp_path, names, kinds, meant
     assert ingested(tmp_path, proposed, log).robot["tcp_x_m"].null_count() == 0
 
 
+FLIPS = [i // 9 % 2 for i in range(ROWS)]
+
+
+@pytest.mark.parametrize("empty", [["error"], ["error", "note"]])
+def test_an_empty_last_column_is_a_column(tmp_path, empty):
+    """A logger that writes an error code only where there is one."""
+    log = tmp_path / "log.csv"
+    columns = [T, *TCP, *((name, ["E7" if i == 30 else "" for i in WHOLE]) for name in empty)]
+    proposed = draft(log, lines(*columns))
+    assert asked(proposed) == set()
+    assert ingested(tmp_path, proposed, log).robot["tcp_x_m"].to_list() == pytest.approx(MOVES)
+
+
+def test_of_series_with_a_time_each_those_of_the_first_time_are_read_and_the_others_named(tmp_path):
+    log = tmp_path / "log.csv"
+    later = [f"{0.5 * i:.1f}" if i < 20 else "" for i in WHOLE]
+    bits = [str(bit) if i < 20 else "" for i, bit in enumerate(FLIPS)]
+    text = lines(("Time", T[1]), ("warn_field", FLIPS), ("Time", later), ("door_closed", bits))
+    proposed = draft(log, text)
+    assert asked(proposed) == set()
+    assert values(proposed) == {
+        "role": "events", "delimiter": "comma", "time": "#1", "time_unit": "s", "tags": ["warn_field"],
+    }  # fmt: skip
+    assert any("door_closed" in note and "#3" in note for note in proposed.notes)
+    changes = ingested(tmp_path, proposed, log).events["t_s"].to_list()
+    assert changes == pytest.approx([0.01 * i for i in WHOLE if i == 0 or FLIPS[i] != FLIPS[i - 1]])
+
+
+def plc(date="2024/05/14 06:30:{:02}", mark=","):
+    rows = (f"{date.format(i)}{mark}{bit}{mark}{25 if bit else 100}{mark}" for i, bit in enumerate(FLIPS))
+    return "\n".join([*rows, ""])
+
+
+@pytest.mark.parametrize(
+    ("above", "rows", "named"),
+    [
+        ('[LOGGING],PLC_1,2,3\nCell 7\nDATETIME[YYYY/MM/DD hh:mm:ss],BIT[1;0],SHORT[DEC.0],SHORT[DEC.0]\n'
+         'TIME,X10_warn,M100_ovr,Trigger\n', plc(), ("TIME", "X10_warn", "M100_ovr")),
+        ('" ","warn field","speed ovr"\n" ","none","%"\n" ","Scanner 1","Robot A"\n', plc(),
+         ("#1", "warn field", "speed ovr")),
+        ("Logger,Ver.1\nInterval,1,s\nCH,CH1,CH2\nKind,PLC,PLC\nItem,Scanner warn,Override\nUnit,-,%\nDate,,\n", plc(),
+         ("Item", "Scanner warn", "Override")),
+        ("[HEADER]\nDevice;S7\n[DATA]\nZeit;Warn;Ovr;\n", plc("14.05.2024 06:30:{:02}", ";"), ("Zeit", "Warn", "Ovr")),
+        ("t [s]\tWarn\tOvr\n", plc("{}.5", "\t"), ("t [s]", "Warn", "Ovr")),
+    ],
+    ids=["types-above", "units-and-more", "labelled", "sections", "no-name-for-the-last"],
+)  # fmt: skip
+def test_of_several_lines_above_the_rows_the_one_of_different_words_has_the_names(tmp_path, above, rows, named):
+    log = tmp_path / "log.csv"
+    proposed = draft(log, above + rows)
+    assert asked(proposed) == set()
+    found = values(proposed)
+    assert (found["time"], found["tags"][0], found["scaling"]) == named
+    read = ingested(tmp_path, proposed, log)
+    assert read.robot["scaling"].to_list() == [0.25 if bit else 1.0 for bit in FLIPS]
+    assert read.set_aside.is_empty()
+
+
+def test_a_date_and_a_time_of_day_are_known_by_their_cells(tmp_path):
+    log = tmp_path / "log.csv"
+    rows = [f"2024/05/14,06:30:{i:02},{v:.4f},{v:.4f}" for i, v in enumerate(MOVES)]
+    proposed = draft(log, "\n".join([",,tcp_x,tcp_y", *rows, ""]))
+    assert values(proposed)["time"] == ["#1", "#2"]
+    assert ingested(tmp_path, proposed, log).robot["t_s"][-1] == 1715668200 + ROWS - 1
+
+
+@pytest.mark.parametrize(
+    ("columns", "keys", "noted"),
+    [
+        ([(f"t{axis}", MOVES) for axis in "xyz"], {"x": "tx", "y": "ty", "z": "tz"}, ""),
+        ([(f"left_{part}", MOVES) for part in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")],
+         {"joints": [f"left_{part}" for part in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")]}, ""),
+        ([("X [mm]", [f"1'{500 + i}.25" for i in WHOLE]), ("Y [mm]", MOVES)], {"x": ""}, "1'500.25"),
+        ([("a", MOVES), ("b", MOVES)], {"x": ""}, ""),
+    ],
+    ids=["translation", "arm", "thousands", "nothing"],
+)  # fmt: skip
+def test_a_draft_that_maps_no_quantity_asks_for_it_and_says_what_may_be_it(tmp_path, columns, keys, noted):
+    proposed = draft(tmp_path / "robot.csv", lines(T, *columns))
+    assert {key: values(proposed)[key] for key in keys} == keys
+    assert set(keys) <= asked(proposed)
+    assert noted in "\n".join(proposed.notes)
+
+
+def test_german_marks_of_thousands_do_not_make_the_comma_a_delimiter(tmp_path):
+    rows = [f"0,{i:02};1.{500 + i},25;{150 + i},50" for i in WHOLE]
+    proposed = draft(tmp_path / "robot.csv", "\n".join(["Zeit [s];X [mm];Y [mm]", *rows, ""]))
+    assert (values(proposed)["delimiter"], values(proposed)["time"]) == ("semicolon", "Zeit [s]")
+    assert any("1.500,25" in note for note in proposed.notes)
+
+
 cells = st.one_of(
     st.floats(allow_nan=True).map(repr),
     st.integers(-(10**20), 10**20).map(str),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cyclekit_adapters.mapped.draft_events import event_draft
+from cyclekit_adapters.mapped.draft_table import text_draft_table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,7 +22,8 @@ FLEXI += [f"2026-06-01T08:{k:02d}:00.120Z," + HOW[k // 2 % 2].format(f"WF{k % 2}
 
 def keys(path: Path, lines: list[str], encoding: str = "utf-8") -> dict[str, object]:
     path.write_bytes(("\n".join(lines) + "\n").encode(encoding))
-    draft = event_draft(path)
+    table = text_draft_table(path)
+    draft = table and event_draft(table)
     return {} if draft is None else {one.key: one.value for one in (*draft.source, *draft.map) if one.sure}
 
 

@@ -39,6 +39,25 @@ def test_the_error_names_a_command_that_writes_a_cell_file_and_that_one_that_ing
     assert set(samples["scaling"].to_list()) == {0.5, 1.0}
 
 
+def test_a_cure_is_never_the_command_that_was_typed(cyclekit: Shell, tmp_path: Path) -> None:
+    log = tmp_path / "words.csv"
+    log.write_text("a,b,c\n" + "foo,bar,baz\n" * 20)
+    cure = cyclekit("inspect", log).err.strip().splitlines()[-1].partition(": ")[2]
+    refused = cyclekit(*shlex.split(cure)[1:])
+    assert refused.code == 1
+    assert "--write-cell" not in refused.err
+    assert "no map can be drafted" in refused.err
+
+
+def test_a_draft_that_maps_nothing_is_not_called_ready(cyclekit: Shell, tmp_path: Path) -> None:
+    log = tmp_path / "robot.csv"
+    log.write_text("t [s];X [mm];Y [mm]\n" + "".join(f"{i / 50};1'{500 + i}.5;{i}.5\n" for i in range(60)))
+    done = cyclekit("inspect", log, "--write-cell", tmp_path / "c.toml")
+    assert "to use it" not in done.out
+    assert "1 line is not sure" in done.out
+    assert "X [mm] holds no numbers that can be read" in (tmp_path / "c.toml").read_text()
+
+
 def test_a_cell_file_that_is_there_is_never_replaced(cyclekit: Shell, tmp_path: Path) -> None:
     log, cell = kuka(tmp_path / "arm.csv"), tmp_path / "cell.toml"
     assert cyclekit("inspect", log, "--write-cell", cell).code == 0

@@ -19,7 +19,7 @@ from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit.text.numbers import given
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SIGNAL_JOIN, STATES, WHERE, CsvMap, csv_map
-from cyclekit_adapters.mapped.draft import draft_of
+from cyclekit_adapters.mapped.draft import QUANTITIES, draft_of
 from cyclekit_adapters.mapped.draft_events import event_draft
 from cyclekit_adapters.mapped.draft_table import sheet_draft_table, text_draft_table
 from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind
 
 _SLACK = 1e-3
-_MOTION = {"x", "joints", "scaling"}
 _BOTH = 'Name the columns of both; in a drafted map choose among the lines that begin with "# ?".'
 
 
@@ -53,10 +52,12 @@ class _MappedCsv:
 
     def draft(self, path: Path) -> Draft | None:
         table = sheet_draft_table(path) if is_workbook(path) else text_draft_table(path)
-        draft = None if table is None else draft_of(table, f"{path.parent.name} {path.stem}")
-        if is_workbook(path) or (draft is not None and not _MOTION.isdisjoint(line.key for line in draft.map)):
-            return draft
-        return event_draft(path) or draft
+        if table is None:
+            return None
+        draft = draft_of(table, f"{path.parent.name} {path.stem}")
+        return (
+            draft if any(line.key in QUANTITIES and line.value for line in draft.map) else event_draft(table) or draft
+        )
 
     def _may_be(self, path: Path) -> str:
         """Return what a draft says of the time of a table whose map names none."""

@@ -18,6 +18,7 @@ from cyclekit.text.numbers import given
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS
 from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
 from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, name_of
+from cyclekit_adapters.mapped.draft_questions import of_first_time, questions, without_numbers
 from cyclekit_adapters.mapped.draft_times import counts_rows, found_times, rises
 from cyclekit_adapters.times.proof import TimeEvidence
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
     from cyclekit_adapters.mapped.draft_table import DraftTable
 
+QUANTITIES = {"x", "joints", "scaling"}
+"""Keys of which a map of a robot or of people needs one."""
 _LISTED = 40
 _IN_OUT = {"di", "do", "din", "dout", "in", "out", "io", "input", "inputs", "output", "outputs", "digital", "bit"}
 _INPUTS, _OUTPUTS = {"di", "din", "in", "input", "inputs"}, {"do", "dout", "out", "output", "outputs"}
@@ -60,11 +63,19 @@ def draft_of(table: DraftTable, called: str = "") -> Draft:
     """
     names = {column: name_of(table.titles.get(column, column), table.units.get(column, "")) for column in table.names}
     names = {column: replace(name, column=column) for column, name in names.items()}
-    lines, found = _Lines(), _Findings(table, names, set(re.findall("[a-z]+", called.lower())))
+    table, others = of_first_time(table, names)
+    names = {column: names[column] for column in table.names}
+    lines, found = _Lines(notes=others), _Findings(table, names, set(re.findall("[a-z]+", called.lower())))
     lines.map += [Proposal(key, value) for key, value in table.keys.items()]
     _add_time(lines, table, names, found)
-    _add_role(lines, found)
     {"people": _add_people, "robot": _add_robot}[found.role](lines, table, names, found)
+    keys, role = {line.key for line in lines.map}, Proposal("role", found.role, found.why, found.sure)
+    if "tags" in keys and not found.sure and keys.isdisjoint(QUANTITIES):
+        role = Proposal("role", "events", "its columns of two states are signals")
+    elif keys.isdisjoint(QUANTITIES):
+        lines.add(*questions(table, names, found.role), sure=False)
+    lines.source.append(role)
+    lines.notes += without_numbers(table, lines.used)
     if not table.headed:
         spans = [f"{name} {given(np.nanmin(told))} to {given(np.nanmax(told))}" for name, told in table.numbers.items()]
         lines.notes.append(f"its columns have no names: {', '.join(spans[:_LISTED])}")
@@ -110,10 +121,6 @@ class _Findings:
         cells = table.cells[self.people[0]]
         most = Counter(cells).most_common(1)[0][0]
         return np.where(np.array([cell == most for cell in cells])[:, None], path, np.nan)
-
-
-def _add_role(lines: _Lines, found: _Findings) -> None:
-    lines.source.append(Proposal("role", found.role, found.why, found.sure))
 
 
 def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _Findings) -> None:

@@ -13,17 +13,16 @@ from cyclekit.adapter import Draft, Proposal
 from cyclekit.text.numbers import fixed
 from cyclekit_adapters.mapped.csv_map import SIGNAL_JOIN
 from cyclekit_adapters.mapped.draft_names import name_of
-from cyclekit_adapters.mapped.draft_table import DELIMITERS, DraftTable, draft_lines
 from cyclekit_adapters.mapped.draft_times import found_times
-from cyclekit_adapters.text.text_layout import fields_of
-from cyclekit_adapters.times.proof import TimeEvidence, file_date
+from cyclekit_adapters.times.proof import TimeEvidence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
-_MIN_ROWS, _MIN_SHARE, _HEADER_LINES = 10, 0.7, 50
-"""Minimum number of rows; minimum share of rows that differ from the one before; last line searched for names."""
+    from cyclekit_adapters.mapped.draft_table import DraftTable
+
+_MIN_ROWS, _MIN_SHARE = 10, 0.7
+"""Minimum number of rows; minimum share of rows that differ from the one before."""
 _MAX_STATES, _MAX_SIGNALS = 8, 100
 _SAME = 0.02
 """A column is part of a signal's name if that share does not fall by more."""
@@ -31,10 +30,10 @@ _LISTED = 12
 _VALUES = {"state", "status", "value", "val", "new", "zustand", "wert", "neu", "stato", "valore"}
 
 
-def event_draft(path: Path) -> Draft | None:
-    """Return a proposed map for an export of events; None if the file is none."""
-    table = _table(path)
-    if table is None:
+def event_draft(table: DraftTable) -> Draft | None:
+    """Return a proposed map for an export of events; None if the table is none."""
+    by_blanks = table.keys.get("delimiter") == "whitespace"
+    if not table.headed or by_blanks or len(table.names) < 3 or len(table.cells[table.names[0]]) < _MIN_ROWS:
         return None
     times = found_times(table, {name: name_of(name) for name in table.names}, TimeEvidence(before_s=table.before_s))
     if not times:
@@ -57,25 +56,6 @@ def event_draft(path: Path) -> Draft | None:
     shown = [f"{name} ({', '.join(sorted(mine))})" for name, mine in states.items()]
     notes.append(f"signals: {'; '.join(shown[:_LISTED])}{'; ...' if len(shown) > _LISTED else ''}")
     return Draft((Proposal("role", "events", "its rows are changes of states"),), tuple(lines), tuple(notes))
-
-
-def _table(path: Path) -> DraftTable | None:
-    """Return the first rows below a line of names, if nearly all of them have as many cells."""
-    lines, keys = draft_lines(path)
-    for mark, word in DELIMITERS.items():
-        if mark == "\\s+":
-            continue
-        rows = [[cell.strip() for cell in fields_of(line, mark)] for line in lines]
-        for at, names in enumerate(rows[:_HEADER_LINES]):
-            body = [row for row in rows[at + 1 :] if any(row)]
-            fits = [row for row in body if len(row) == len(names)]
-            named = len(names) > 2 and all(names) and len(set(names)) == len(names)
-            if named and len(fits) >= max(_MIN_ROWS, 0.9 * len(body)):
-                cells = {name: [row[place] for row in fits] for place, name in enumerate(names)}
-                skipped = {"skip_rows": at} if at else {}
-                keys = {**keys, "delimiter": word, **skipped}
-                return DraftTable(tuple(names), cells, keys=keys, before_s=file_date(path))
-    return None
 
 
 def _signals(table: DraftTable, value: str, others: Sequence[str]) -> tuple[float, tuple[str, ...], str]:

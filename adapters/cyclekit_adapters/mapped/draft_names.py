@@ -105,6 +105,8 @@ OTHER = {
 """Words for quantities that are neither a position nor a joint angle."""
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zäöüß]+|[A-Z]+|\d+|%|°|µs")
 _ONE_WORD = re.compile(r"TCP|RIst|RSol")  # would otherwise be split in two
+_LABVIEW_TIME = re.compile(r"X_Value(?:#\d+)?")
+"""The time in a measurement file of LabVIEW (LVM), s."""
 _BRACKETED = re.compile(r"[\[(<{]\s*([A-Za-zµ°%]+)\s*[\])>}]\s*(?:#\d+)?$|/\s*([A-Za-zµ°%]+)$")
 _AXIS_PREFIXES = {"", "act", "actual", "curr", "ist"} | PLACE | POSITION | ROBOT | PERSON
 """Words that occur joined with an axis: `toolx`, `xpos`."""
@@ -158,6 +160,7 @@ def name_of(column: str, unit: str = "") -> Name:
         column: Name of the column.
         unit: Its entry in a line of units.
     """
+    column = "time [s]" if _LABVIEW_TIME.fullmatch(column) else column
     found = _BRACKETED.search(column)
     named = UNITS.get((found[1] or found[2]).lower()) if found else None
     text = column[: found.start()] if found and named else column

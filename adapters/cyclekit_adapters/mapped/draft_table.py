@@ -1,6 +1,6 @@
 """First lines of an unknown table: position of the header, delimiter, and values of its columns.
 
-The only assumption is that rows hold numeric cells in equal number. `draft` interprets the columns.
+The only assumption is that rows hold values in equal number of cells. `draft` interprets the columns.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit_adapters.mapped.draft_names import UNITS, name_of
 from cyclekit_adapters.mapped.sheets import Workbook, rows_of
 from cyclekit_adapters.text.encodings import WINDOWS
 from cyclekit_adapters.text.header_line import has_decimal_comma
@@ -21,9 +23,10 @@ from cyclekit_adapters.text.text_blocks import begins_in_windows, file_encoding,
 from cyclekit_adapters.text.text_layout import fields_of, unique
 from cyclekit_adapters.text.text_rows import UNKNOWN
 from cyclekit_adapters.times.proof import file_date
+from cyclekit_adapters.times.units import unit_named
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -33,7 +36,13 @@ LINES = 2000
 DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "|", "\\s+": "whitespace"}
 _LINES_SEARCHED = 50
 _MAX_COLUMNS = 2000
-_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?")
+_VALUE = re.compile(
+    r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?"  # a number
+    r"|[+-]?\d{1,3}(?:['’.,\s]\d{3})+(?:[.,]\d+)?"  # with marks of thousands
+    r"|\d{1,4}[/.-]\d\d?[/.-]\d{1,4}"  # a date
+)
+_CLOCK = re.compile(r"(?<!\d)\d\d?:\d\d")
+_SAYS_NAMES = {"name", "names", "item", "tag", "tagname", "variable", "signal", "bezeichnung", "parameter"}
 _NUMERIC = 0.9  # minimum share of numbers in a numeric column
 
 
@@ -84,7 +93,7 @@ def text_draft_table(path: Path) -> DraftTable | None:
     found = [rows for mark in marks if (rows := _rows_by(lines, mark)) is not None]
     if not found:
         return None
-    best = max(found, key=lambda rows: (rows.numbers, rows.mark != "\\s+"))
+    best = max(found, key=lambda rows: (rows.header is not None, rows.values, rows.mark != "\\s+"))
     return replace(_table(best, {**keys, "delimiter": DELIMITERS[best.mark]}), before_s=file_date(path))
 
 
@@ -109,57 +118,82 @@ def sheet_draft_table(path: Path) -> DraftTable | None:
     for number, sheet in enumerate(workbook.sheets):
         columns = workbook.cells(sheet, "string", count=LINES)
         found = _Rows("", rows_of(columns, 0, LINES, max(columns, default=-1) + 1))
-        if found.width > 1 and found.body and found.numbers:
+        if found.width > 1 and found.values:
             return replace(_table(found, {"sheet": sheet} if number else {}), before_s=file_date(path))
     return None
 
 
 class _Rows:
-    """Lines split by one delimiter, with the header and the rows below it."""
+    """Lines split by one delimiter, with the header and the rows below it.
+
+    A column of values has numbers, lists or written times in most lines. The rows begin with the first line that has no
+    word there; a line of names stands above them, with a word for each column that is ever filled. Of several, the
+    names are those that differ from each other and are no units; the others' line of most units has the units.
+    """
 
     def __init__(self, mark: str, lines: list[list[str]]) -> None:
-        self.mark, self.lines = mark, [_trimmed(cells) for cells in lines]
-        widths = Counter(len(cells) for cells in self.lines if _is_row(cells))
+        self.mark, self.lines = mark, lines
+        widths = Counter(len(cells) for cells in lines if sum(map(_is_value, cells)) > (len(cells) == 1))
         self.width = widths.most_common(1)[0][0] if widths else 0
-        first = next((at for at, cells in enumerate(self.lines) if self._fits(cells) and _is_row(cells)), len(lines))
-        self.body = [cells for cells in self.lines[first:] if self._fits(cells)]
-        self.numbers = sum(map(_count, self.body)) if first <= _LINES_SEARCHED else 0
-        above = [at for at in range(first) if self._names(self.lines[at])]
-        self.header = next((at for at in above if self._fills(self.lines[at])), above[-1] if above else None)
-        self.units = next((at for at in above if self.header is not None and at > self.header), None)
+        columns = zip_longest(*(cells[: self.width] for cells in lines if self._fits(cells)), fillvalue="")
+        self._of_values = [_are_values(cells) for cells in columns]
+        self.first = next((at for at, cells in enumerate(lines) if self._is_row(cells)), len(lines))
+        self.body = [cells for cells in lines[self.first :] if self._fits(cells)]
+        self.filled = max((len(_trimmed(cells)) for cells in self.body), default=0)
+        self.values = sum(map(_count, self.body)) if self.first <= _LINES_SEARCHED else 0
+        above = range(min(self.first, _LINES_SEARCHED + 1))
+        able = [at for at in above if self._may_be_names(at)]
+        self.header = max(able, key=lambda at: self._as_names(self.named(at)), default=None)
+        units = {at: sum(map(_is_unit, self.named(at))) for at in above if at != self.header}
+        self.units = max(units, key=lambda at: units[at]) if any(units.values()) else None
 
     def _fits(self, cells: list[str]) -> bool:
-        return 0 < len(cells) <= self.width or (len(cells) > self.width and not any(cells[self.width :]))
+        return any(cells) and (len(cells) <= self.width or not any(cells[self.width :]))
 
-    def _fills(self, cells: list[str]) -> bool:
-        return sum(map(bool, cells)) >= 0.8 * self.width
+    def _is_row(self, cells: list[str]) -> bool:
+        told = [cell for cell, wanted in zip(cells, self._of_values, strict=False) if wanted and not _is_unknown(cell)]
+        return self._fits(cells) and bool(told) and all(map(_is_value, told))
 
-    def _names(self, cells: list[str]) -> bool:
-        """Return whether cells may be column names: one per column, apart from a leading `#`, and few numbers."""
+    def is_commented(self, at: int) -> bool:
+        """Return whether a line begins with a mark that stands above no column."""
+        return self.mark == "\\s+" and self.lines[at][:1] in (["#"], ["%"])
+
+    def named(self, at: int) -> list[str]:
+        """Return the cells of a line above the rows."""
+        return self.lines[at][self.is_commented(at) :]
+
+    def _may_be_names(self, at: int) -> bool:
+        cells = self.named(at)
         non_empty = [cell for cell in cells if cell]
-        commented = self.mark == "\\s+" and cells[:1] in (["#"], ["%"])
-        return len(cells) - commented == self.width and len(non_empty) > 1 and _count(non_empty) < 0.3 * len(non_empty)
+        whole = len(cells) == self.width or self.filled <= len(_trimmed(cells)) <= self.width
+        return whole and len(non_empty) > 1 and sum(map(_is_value, non_empty)) < 0.3 * len(non_empty)
+
+    def _as_names(self, cells: list[str]) -> tuple[bool, bool, bool]:
+        """Return what speaks for names: they differ and are no units, there is one for each column, a word says so."""
+        non_empty = [cell.lower() for cell in cells if cell]
+        differ = len(set(non_empty)) == len(non_empty) and 2 * sum(map(_is_unit, cells)) < len(non_empty)
+        return differ, len(non_empty) >= 0.8 * self.filled, name_of(cells[0]).says(_SAYS_NAMES)
 
 
 def _rows_by(lines: Sequence[str], mark: str) -> _Rows | None:
     rows = _Rows(mark, [[cell.strip() for cell in fields_of(line, mark)] for line in lines])
-    usable = 1 < rows.width <= _MAX_COLUMNS and rows.numbers
+    usable = 1 < rows.width <= _MAX_COLUMNS and rows.values
     return rows if usable and len(rows.body) >= 0.5 * (len(rows.lines) - _LINES_SEARCHED) else None
 
 
 def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
-    keys = dict(keys)
-    if rows.header is None:
-        first = next(at for at, cells in enumerate(rows.lines) if cells is rows.body[0])
+    keys, header = dict(keys), rows.header
+    if header is None:
         names: tuple[str, ...] = tuple(f"#{number}" for number in range(1, rows.width + 1))
-        keys |= {"columns": list(names)} | ({"skip_rows": first} if first else {})
     else:
-        header = rows.lines[rows.header]
-        commented = rows.mark == "\\s+" and header[:1] in (["#"], ["%"])
-        names = unique(header[1:] if commented else header)
-        keys |= {"columns": list(names), "skip_rows": rows.header + 1} if commented else {}
-        keys |= {"skip_rows": rows.header} if rows.header and not commented else {}
-    units = rows.lines[rows.units] if rows.units is not None else []
+        said = [*rows.named(header), *[""] * rows.width]
+        names = unique(said[: max(len(_trimmed(rows.named(header))), rows.filled)])
+    beside = header is None or rows.is_commented(header) or len(_trimmed(rows.named(header))) < rows.filled
+    if header is None or beside or any(any(cells) for cells in rows.lines[header + 1 : rows.first]):
+        keys |= {"columns": list(names)} | ({"skip_rows": rows.first} if rows.first else {})
+    else:
+        keys |= {"skip_rows": header} if header else {}
+    units = rows.named(rows.units) if rows.units is not None else []
     comma = has_decimal_comma((";".join(f'"{cell}"' for cell in row) for row in rows.body[:50]), ";")
     keys |= {"decimal": ","} if comma else {}
     cells = {name: [row[at] if at < len(row) else "" for row in rows.body] for at, name in enumerate(names)}
@@ -168,7 +202,7 @@ def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
     said_units = {called[name]: unit for name, unit in zip(names, units, strict=False)}
     titles = {called[name]: re.sub(r"(.)#\d+$", r"\1", name) for name in names if called[name] != name}
     in_lists = frozenset(apart) - frozenset(called.values())
-    return DraftTable(tuple(apart), apart, said_units, keys, titles, comma, rows.header is not None, in_lists)
+    return DraftTable(tuple(apart), apart, said_units, keys, titles, comma, header is not None, in_lists)
 
 
 def _called(name: str, names: Sequence[str], at: int) -> str:
@@ -188,18 +222,34 @@ def _taken_apart(name: str, cells: list[str]) -> list[tuple[str, list[str]]]:
 
 
 def _trimmed(cells: list[str]) -> list[str]:
-    while cells and not cells[-1]:
-        cells.pop()
-    return cells
+    return cells[: max((at for at, cell in enumerate(cells, 1) if cell), default=0)]
 
 
-def _is_row(cells: list[str]) -> bool:
-    return _count(cells) >= max(2, 0.3 * len(cells)) or any(parts_of(cell) for cell in cells)
+def _is_unknown(cell: str) -> bool:
+    return cell.lower() in UNKNOWN
+
+
+def _is_unit(cell: str) -> bool:
+    plain = cell.strip("[]() ")
+    return plain.lower() in UNITS or unit_named(plain) is not None
+
+
+def _is_value(cell: str) -> bool:
+    return bool(_VALUE.fullmatch(cell) or _CLOCK.search(cell) or _in_list(cell))
+
+
+def _in_list(cell: str) -> int:
+    """Return the count of numbers in a cell that holds a list; 0 if it holds none, such as `[LOGGING]`."""
+    return len(parts_of(cell) or ()) if cell[-1:] in ("]", ")", "}") and any(map(str.isdigit, cell)) else 0
+
+
+def _are_values(cells: Iterable[str]) -> bool:
+    known = [cell for cell in cells if not _is_unknown(cell)]
+    return 2 * sum(map(_is_value, known)) > len(known)
 
 
 def _count(cells: Sequence[str]) -> int:
-    lists = sum(len(parts_of(cell) or ()) for cell in cells if cell.startswith(("[", "(")))
-    return lists + sum(1 for cell in cells if _NUMBER.fullmatch(cell))
+    return sum(_in_list(cell) or _is_value(cell) for cell in cells)
 
 
 def _number(cell: str, *, comma: bool) -> float | None:

@@ -5,6 +5,7 @@ The form of a time in text and the unit of a number are decided in `times`; here
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
 
 _LOOKED_AT = 500
+_DATE = re.compile(r"\d{1,4}([/.-])\d\d?\1\d{1,4}")
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
     """Return columns of times in text, whatever their names: single ones, or a date with a time of day."""
     texts = [name for name in names.values() if name.column in table.texts]
     clocks = [name for name in texts if any(":" in cell for cell in table.texts[name.column][:5])]
-    dates = [name for name in texts if name.says({"date", "datum"}) and name not in clocks]
+    dates = [name for name in texts if name not in clocks and (name.says({"date", "datum"}) or _is_date(table, name))]
     clocks += [name for name in texts if name.is_time and name not in (*clocks, *dates)]
     numbers = (name for name in names.values() if name.column in table.numbers)
     clocks += [name for name in numbers if all(map(in_digits, table.cells[name.column][:5]))]
@@ -180,6 +182,10 @@ def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
     found += [time for name in clocks if (time := _patterned(table, (name.column,)))]
     named = {name.column for name in texts if name.is_time}
     return sorted(found, key=lambda time: (len(time.columns) == 1, time.columns[-1] not in named))
+
+
+def _is_date(table: DraftTable, name: Name) -> bool:
+    return all(map(_DATE.fullmatch, table.texts[name.column][:5]))
 
 
 def _texts(table: DraftTable, columns: tuple[str, ...]) -> list[str]:

@@ -197,7 +197,8 @@ def _times(
     sample = cells[key].drop_nulls()[:_FIRST].to_list()
     if not sample:
         if start is None:
-            raise LogError(path, f"no row has a start (column {name!r})", cure="Record again, or remove the file.")
+            cure = 'Name the column of the starts in [sources.map]: start = "COLUMN"'
+            raise LogError(path, f"no row has a start (column {name!r})", cure=cure)
         return replace(start, columns=(name,), why="empty")
     named = unit_in_name(name)
     stated = settings.unit if key != "duration" or named is None else None  # a duration may have a unit of its own

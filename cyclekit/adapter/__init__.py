@@ -25,6 +25,8 @@ Role = Literal["robot", "people", "events", "tasks"]
 ClockKind = Literal["epoch", "uptime", "relative"]
 RowKind = Literal["line", "row", "message", "frame"]
 inside = safe_path  # for adapters of folders: a path from a name in the data
+NO_VALUE = "no value in any column that is read, except its time"
+"""Reason for which a row is set aside without loss: it holds nothing."""
 TABLES = ("robot", "people", "events", "task_list", "safety", "skeletons", "stamps")
 """Fields of `Recording` that hold tables; ingest stores each under its name."""
 

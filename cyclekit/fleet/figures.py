@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.dataset.cards import FiguresCard, MonthCard
+from cyclekit.ingest.validate.loss import NO_LOSS
 from cyclekit.learning.evaluation.drift import Drift
 from cyclekit.text.numbers import fixed
 
@@ -33,7 +34,7 @@ def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, date], m
     known = whole.join(lost.filter(~pl.col("unknown")), on="execution")
     duration_s, lost_s = float(known["duration_s"].sum()), float(known["safety_loss_s"].sum())
     read = sum(one.rows_read for one in dataset.recordings)
-    aside = sum(part.count for one in dataset.recordings for part in one.rows_set_aside)
+    aside = sum(part.count for one in dataset.recordings for part in one.rows_set_aside if part.reason not in NO_LOSS)
     changes: dict[str, object] = {"drift": drift}
     if isinstance(drift, Drift):
         named = sorted((s for s in (*drift.safety, *drift.habits) if s.changed), key=lambda shift: -abs(shift.z))

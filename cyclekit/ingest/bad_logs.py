@@ -50,5 +50,5 @@ def refuse_bad(
     if bad:
         (file, cannot), *rest = bad
         others = f"; so it is {len(rest)} more time(s) in these logs" if rest else ""
-        cure = f"Correct the map in the cell file (docs/adapters.md), or use it as it is: {_ACCEPT}"
+        cure = f"Correct the log, or its map in the cell file (docs/adapters.md), or use it as it is: {_ACCEPT}"
         raise LogError(file, f"{cannot}{others}", cure=cure)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
+from cyclekit.ingest.validate.loss import SAID
 from cyclekit.report.fleet_months import months_picture
 from cyclekit.report.template import Template
 from cyclekit.text.numbers import count, fixed, percent
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 FLEET_PAGE = "fleet.html.jinja"
 OLD_DAYS = 7
 """A cell whose newest log is older than this needs a look: its logger may have stopped."""
-MUCH_SET_ASIDE = 0.01
-"""A cell with a larger share of rows set aside than this needs a look too."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def _worries(texts: ReportTexts, cell: CellLine, today: dt.date) -> list[str]:
         return found or [texts("fleet.no_report")]
     if known.newest is not None and (days := (today - known.newest).days) > OLD_DAYS:
         found.append(texts("fleet.old", days=days, date=known.newest.isoformat()))
-    if known.set_aside_share is not None and known.set_aside_share > MUCH_SET_ASIDE:
+    if known.set_aside_share is not None and known.set_aside_share > SAID:
         found.append(texts("fleet.set_aside", share=percent(known.set_aside_share)))
     if known.safety_changed:
         found.append(texts("fleet.changed", shifts="; ".join(known.shifts)))

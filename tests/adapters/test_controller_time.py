@@ -14,16 +14,14 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.ur_rtde import ADAPTER
-from cyclekit_adapters.robots.controller_time import RepeatFilter
-from cyclekit_adapters.text.delimited import TextRows
-from cyclekit_adapters.text.text_rows import SET_ASIDE
+from cyclekit_adapters.robots.controller_time import ClockRestarts
 
 
 def steps_back(times: list[float], cuts: list[int] | None = None) -> int:
-    repeats, edges = RepeatFilter("t"), [0, *sorted(cuts or []), len(times)]
+    repeats, edges = ClockRestarts("t"), [0, *sorted(cuts or []), len(times)]
     for begin, end in pairwise(edges):
         frame = pl.DataFrame({"t": times[begin:end], "source_row": range(begin, end)}, schema_overrides={"t": float})
-        repeats.rows(TextRows(frame, end - begin, pl.DataFrame(schema=SET_ASIDE)))
+        repeats.add(frame)
     assert bool(repeats.back) == any("steps back" in text for text in repeats.warnings())
     return repeats.back
 

@@ -86,11 +86,30 @@ def test_a_row_of_units_below_the_names_is_no_other_table(second):
     assert aside(rows) == [2]
 
 
-@pytest.mark.parametrize("names", ["Time,Force,Force", "Time,,Force", "y,x,t"])
+@pytest.mark.parametrize("names", ["Time,Force,Force", "Time,,Force", "t,Force,Torque"])
 def test_another_table_ends_the_first_also_where_its_names_repeat_or_are_missing(names):
     rows = rows_of(f"t,x,y\n1,2,3\n{names}\n4,5,6\n")
     assert values(rows) == [(1, 2, 3)]
     assert "another table begins in line 3" in rows.set_aside["reason"][1]
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "last"),
+    [
+        ("y,x,t", "6,5,4", (4, 5, 6)),
+        ("t,force,x,y", "4,9,5,6", (4, 5, 6)),
+        ("t,y", "4,6", (4, None, 6)),
+        ("t,y,x,", "4,6,5,", (4, 5, 6)),
+    ],
+)
+@pytest.mark.parametrize("above", [1, 20_000])
+def test_another_header_holds_for_the_rows_below_it(names, row, last, above):
+    lines = ["t,x,y", *["1,2,3"] * above, names, *[row] * above, "t,x,y", "7,8,9", ""]
+    rows = rows_of("\n".join(lines), numbers=["t", "x", "y"], required=["t"])
+    assert values(rows) == [(1, 2, 3)] * above + [last] * above + [(7, 8, 9)]
+    said = "another header: the rows below it are read by it"
+    assert rows.set_aside.rows()[0] == (above + 2, said + (", without x" if last[1] is None else ""))
+    assert aside(rows) == [above + 2, 2 * above + 3]
 
 
 def test_below_the_names_once_more_the_first_table_goes_on():

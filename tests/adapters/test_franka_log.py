@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit.ingest.registry import find_adapter
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.franka_log import ADAPTER
 from cyclekit_adapters.robots.panda_arm import flange_position_m
 
@@ -102,9 +103,9 @@ def test_a_file_saved_again_by_a_windows_editor_is_read(tmp_path, encoding):
 def test_repeats_and_a_cut_last_row_are_set_aside(tmp_path):
     path = write(tmp_path / "log.csv", line(1), line(1), line(2), line(3))
     path.write_bytes(path.read_bytes()[:-3])
-    log = read(path)
+    log = examined(read(path))
     assert log.robot["source_row"].to_list() == [2, 4]
-    assert log.set_aside["source_row"].to_list() == [3, 5]
+    assert sorted(log.set_aside["source_row"]) == [3, 5]
 
 
 def test_a_log_without_a_joint_a_row_or_a_known_key_is_refused(tmp_path):

@@ -13,6 +13,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.alignment.clocks import lower_envelope
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit.ingest.registry import find_adapter
+from cyclekit.ingest.validate.validate import examined
 from cyclekit.schema import ROBOT
 from cyclekit_adapters.formats.kuka_rsi import ADAPTER
 from cyclekit_adapters.robots.host_clock import HostClock
@@ -70,9 +71,9 @@ def test_a_client_on_windows_writes_the_same_log(tmp_path, end):
 
 
 def test_a_cycle_that_is_written_twice_counts_once(tmp_path):
-    log = read(write(tmp_path / "robot.csv", row(12), row(12), row(24)))
+    log = examined(read(write(tmp_path / "robot.csv", row(12), row(12), row(24))))
     assert log.robot["source_row"].to_list() == [2, 4]
-    assert log.set_aside.rows() == [(3, "repeats the controller sample before it")]
+    assert log.set_aside.rows() == [(3, "repeats a row before it, with all its values")]
     assert log.rows_read == 3
 
 

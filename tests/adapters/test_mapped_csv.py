@@ -4,6 +4,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions, concat_parts
 from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns, UnknownName
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.mapped_csv import ADAPTER
 
 
@@ -180,7 +181,7 @@ def test_a_time_written_as_a_date_is_refused_with_its_first_value(tmp_path):
 
 
 def test_a_repeated_instant_of_the_robot_counts_once(tmp_path):
-    log = read(tmp_path / "log.csv", "t,x,y\n1,0,0\n1,0,0\n2,1,0\n", role="robot", time="t", x="x", y="y")
+    log = examined(read(tmp_path / "log.csv", "t,x,y\n1,0,0\n1,0,0\n2,1,0\n", role="robot", time="t", x="x", y="y"))
     assert log.robot["t_s"].to_list() == [1.0, 2.0]
     assert log.set_aside["source_row"].to_list() == [3]
 

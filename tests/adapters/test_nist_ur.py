@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit.ingest.registry import find_adapter
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.nist_ur import ADAPTER
 
 JOINTS = [f"J{i}" for i in range(1, 7)]
@@ -146,7 +147,7 @@ def test_rows_that_cannot_be_trusted_are_set_aside_with_their_reason(tmp_path):
 
 
 def test_a_row_without_its_time_is_set_aside_and_a_repeat_counts_once(tmp_path):
-    log = read(write(tmp_path / "ur5.csv", table(groups(1.0), groups("nan"), groups(1.0), groups(1.008))))
+    log = examined(read(write(tmp_path / "ur5.csv", table(groups(1.0), groups("nan"), groups(1.0), groups(1.008)))))
     assert log.robot["t_s"].to_list() == [1.0, 1.008]
     assert log.set_aside["source_row"].to_list() == [3, 4]
 

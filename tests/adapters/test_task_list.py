@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import CyclekitError, DamagedLog, LogError
 from cyclekit.ingest.registry import adapters
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.task_list import ADAPTER
 from cyclekit_adapters.tasks.task_columns import is_person
 
@@ -175,7 +176,7 @@ def test_impossible_rows_are_set_aside_with_their_line_and_reason(tmp_path):
         "r,a,0.0,1.0,1",
         "r,h,7.0,,1",
     )
-    log = read(path)
+    log = examined(read(path))
     assert spans(log) == [("robot", "a", 0.0, 1.0), ("robot", "h", 7.0, None)]
     assert log.set_aside.rows() == [
         (3, "it ends before it starts"),
@@ -186,7 +187,7 @@ def test_impossible_rows_are_set_aside_with_their_line_and_reason(tmp_path):
         (8, "its end is not a time in the format of the others"),
         (9, "it repeats another task"),
     ]
-    assert any("7 of 9 tasks are set aside: no start (2); " in text for text in log.warnings)
+    assert "7 of 9 lines (78 %) are set aside, the first is line 4: no start (2); " in log.impossible[0]
 
 
 def test_a_list_of_which_no_row_can_be_used_is_refused_with_the_reason(tmp_path):

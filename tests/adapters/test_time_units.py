@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, Source, cell_to_toml, load_cell
 from cyclekit.errors import LogError
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats import events, mapped_csv, safety_log, task_list
 
 if TYPE_CHECKING:
@@ -282,7 +283,7 @@ def test_samples_written_twice_are_still_set_aside(tmp_path: Path) -> None:
     lines = coarse_log(tmp_path / "a.csv", (np.arange(60) + 0.5) / 10, 0.1).read_text(encoding="utf-8").splitlines()
     twice = [lines[0], *(row for line in lines[1:] for row in (line, line)), ""]
     (tmp_path / "a.csv").write_text("\n".join(twice), encoding="utf-8")
-    log = mapped_csv.ADAPTER.read(tmp_path / "a.csv", ReadOptions(role="robot", map=HOW))
+    log = examined(mapped_csv.ADAPTER.read(tmp_path / "a.csv", ReadOptions(role="robot", map=HOW)))
     assert (log.robot.height, log.set_aside.height) == (60, 60)
 
 

@@ -2,6 +2,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
+from cyclekit.ingest.validate.validate import examined
 from cyclekit.schema import ROBOT
 from cyclekit_adapters.formats.ur_rtde import ADAPTER
 
@@ -110,7 +111,7 @@ def test_the_tcp_speed_is_the_norm_of_the_linear_part(tmp_path, ur):
 
 def test_a_sample_that_ur_rtde_writes_twice_counts_once(tmp_path, ur):
     rows = [ur.row(t) for t in (1.0, 1.0, 1.002, 1.002, 1.002, 1.004)]
-    log = read(write(tmp_path / "run.csv", ur.text(rows, ",", "\n")))
+    log = examined(read(write(tmp_path / "run.csv", ur.text(rows, ",", "\n"))))
     assert log.robot["t_s"].to_list() == [1.0, 1.002, 1.004]
     assert log.set_aside["source_row"].to_list() == [3, 5, 6]
     assert log.rows_read == 6

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, MissingColumns
 from cyclekit.ingest.registry import find_adapter
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.ur_rtde import ADAPTER
 
 TYPES = {  # per column of the text form; the writer spells vectors out
@@ -94,7 +95,7 @@ def test_a_cut_last_row_is_set_aside(tmp_path, ur):
 def test_a_sample_that_was_written_twice_counts_once_and_an_infinite_value_is_unknown(tmp_path, ur):
     path = tmp_path / "run.bin"
     path.write_bytes(binary([ur.row(1.0), ur.row(1.0), ur.row(1.002, actual_q_0=float("inf"))]))
-    log = read(path)
+    log = examined(read(path))
     assert log.robot["t_s"].to_list() == [1.0, 1.002]
     assert log.robot["q0_rad"].to_list() == [0.0, None]
     assert log.set_aside["source_row"].to_list() == [1]

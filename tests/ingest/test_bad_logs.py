@@ -99,6 +99,74 @@ def test_a_task_list_in_milliseconds_read_as_seconds_cannot_be() -> None:
     assert "give time_unit" in text
 
 
+def table(path: Path, rows: list[str], lost: dict[int, str]) -> None:
+    """Write a table of a robot, with other lines in place of some of its rows."""
+    rows = [lost.get(k, row) for k, row in enumerate(rows)]
+    path.write_text("\n".join(["time,x,y,z", *rows, ""]), encoding="utf-8")
+
+
+ROWS = [f"{k / 25:.2f},{0.4 + 0.3 * np.sin(k / 40):.4f},{0.1 * np.cos(k / 40):.4f},0.3" for k in range(1000)]
+MAPPED = {"time": "time", "time_unit": "s", "x": "x", "y": "y", "z": "z", "length_unit": "m"}
+TABLE = Cell(sources=(Source("robot.csv", adapter="csv", role="robot", map=MAPPED),))
+SHORT, TWICE = "1,2", {k: ROWS[k - 1] for k in range(1, 1000, 2)}
+LOST: dict[str, tuple[dict[int, str], str | None, bool]] = {
+    "a cut row": ({500: SHORT}, None, False),
+    "a torn last row": ({999: SHORT}, None, False),
+    "2 % of the rows": (
+        dict.fromkeys(range(0, 1000, 50), SHORT),
+        "20 of 1000 lines (2.0 %) are set aside, the first is line 2: 2 fields where the header has 4",
+        False,
+    ),
+    "two reasons": (
+        {k: SHORT if k % 100 else "1,2,3,four" for k in range(50, 1000, 50)},
+        "19 of 1000 lines (1.9 %) are set aside, the first is line 52: 2 fields where the header has 4 (10); 'four' in "
+        "column 'z' is not a number (9)",
+        False,
+    ),
+    "a short tail": (
+        dict.fromkeys(range(997, 1000), SHORT),
+        "3 of 1000 lines (0.3 %) are set aside, from line 999 to the end: 2 fields where the header has 4",
+        False,
+    ),
+    "most of it": (
+        dict.fromkeys(range(300, 1000), SHORT),
+        "700 of 1000 lines (70 %) are set aside, from line 302 to the end: 2 fields where the header has 4",
+        True,
+    ),
+    "each row twice": (TWICE, None, False),
+    "two places at each time": (
+        {k: ROWS[k].replace(ROWS[k].split(",")[0], ROWS[k - 1].split(",")[0]) for k in range(100, 500, 40)},
+        "10 of 1000 lines (1.0 %) are set aside, the first is line 102: has the time of the row before it, and other "
+        "values",
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("what", LOST)
+def test_what_is_lost_of_a_log_is_said_and_more_than_half_of_it_is_refused(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lost, said, too_much = LOST[what]
+    table(tmp_path / "robot.csv", ROWS, lost)
+    if too_much:
+        with pytest.raises(LogError, match="70 %") as raised:
+            ingest([tmp_path / "robot.csv"], tmp_path / "d", cell=TABLE)
+        assert "accept_bad_logs = true" in str(raised.value)
+    report = ingest([tmp_path / "robot.csv"], tmp_path / "d", cell=TABLE, accept_bad_logs=too_much)
+    assert [text for text in report.warnings if "set aside" in text] == ([f"robot.csv: {said}"] if said else [])
+    assert run(["inspect", str(tmp_path / "d")]) == 0
+    shown = " ".join(capsys.readouterr())
+    assert ("! robot: " in shown) is (said is not None)
+
+
+def test_rows_that_hold_nothing_are_no_loss(tmp_path: Path) -> None:
+    rows = [row if k % 5 == 0 else f"{row.split(',')[0]},,," for k, row in enumerate(ROWS)]
+    table(tmp_path / "robot.csv", rows, {})
+    report = ingest([tmp_path / "robot.csv"], tmp_path / "d", cell=TABLE)
+    assert not [text for text in report.warnings if "set aside" in text]
+
+
 def test_a_log_of_which_no_row_can_be_used_is_not_called_empty(tmp_path: Path) -> None:
     rows = [f"{133601418000000000 + 100000 * k},{k},0,0" for k in range(60)]
     (tmp_path / "robot.csv").write_text("\n".join(["Timestamp,X,Y,Z", *rows, ""]), encoding="utf-8")

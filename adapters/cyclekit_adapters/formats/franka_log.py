@@ -18,7 +18,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_pa
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit.text.numbers import given
-from cyclekit_adapters.robots.controller_time import RepeatFilter
+from cyclekit_adapters.robots.controller_time import ClockRestarts
 from cyclekit_adapters.robots.panda_arm import JOINTS, flange_position_m
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
@@ -50,10 +50,11 @@ class _FrankaLogCsv:
         if missing := {_TIME, *_ANGLES}.difference(names):
             raise MissingColumns(path, missing, names, "Write the log with franka::logToCSV, whole.")
         speeds = [name for name in _SPEEDS if name in names]
-        repeats = RepeatFilter(_TIME)
+        restarts = ClockRestarts(_TIME)
 
         def make(rows: TextRows) -> Recording:
-            rows = repeats.rows(_milliseconds(path, rows))
+            rows = _milliseconds(path, rows)
+            restarts.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, speeds),
                 clock="uptime",
@@ -65,7 +66,7 @@ class _FrankaLogCsv:
 
         def finish(last: Recording) -> Recording:
             messages = (
-                *repeats.warnings(),
+                *restarts.warnings(),
                 "the TCP is the flange, computed from the joint angles: no hand and no tool is included",
                 "the speed scaling is not logged in this format",
             )

@@ -21,7 +21,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_pa
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit.text.numbers import given
-from cyclekit_adapters.robots.controller_time import Range, RepeatFilter
+from cyclekit_adapters.robots.controller_time import ClockRestarts, Range
 from cyclekit_adapters.robots.host_clock import HostClock
 from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
@@ -84,13 +84,13 @@ class _KukaRsiCsv:
         time = columns.require(path, layout.names)
         values = [*columns.place.values(), *columns.joints.values()]
         numbers = [time, *values, *([_LATE] if _LATE in layout.names else [])]
-        repeats, late, cycles = RepeatFilter(time), Range((_LATE,)), list[float]()
+        restarts, late, cycles = ClockRestarts(time), Range((_LATE,)), list[float]()
         host = next((HostClock(name, zone) for name in layout.names if name.lower() == _HOST), None)
 
         def make(rows: TextRows) -> Recording:
-            rows = repeats.rows(rows)
+            restarts.add(rows.frame)
             late.add(rows.frame)
-            cycles.append(_number(rows.frame[time].diff().median()))
+            cycles.append(_cycle_ms(rows.frame[time]))
             stamps = None if host is None else host.stamps(rows.frame[time] * _MS, rows.frame[host.column])
             return Recording(
                 robot=_robot(rows.frame, time, columns),
@@ -109,7 +109,7 @@ class _KukaRsiCsv:
                 "point": "RIst: the active tool in the base of the RSI configuration, mm",
             }
             messages = [
-                *repeats.warnings(),
+                *restarts.warnings(),
                 *([] if columns.place else [_NO_PLACE]),
                 *_warnings(layout.names, late.most.get(_LATE, 0.0)),
                 *_unread_host(host),
@@ -170,7 +170,9 @@ def _warnings(names: tuple[str, ...], late: float) -> list[str]:
     return messages
 
 
-def _number(value: object) -> float:
+def _cycle_ms(times: pl.Series) -> float:
+    steps = times.diff().drop_nulls()
+    value = steps.filter(steps != 0.0).median()
     return 0.0 if value is None else float(str(value))
 
 

@@ -26,7 +26,7 @@ from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.mapped.map_table import MapTable, text_table
 from cyclekit_adapters.mapped.mapped_time import mapped_times, require_epoch
 from cyclekit_adapters.mapped.sheets import sheet_table
-from cyclekit_adapters.robots.controller_time import BackwardSteps, Range, RepeatFilter
+from cyclekit_adapters.robots.controller_time import BackwardSteps, ClockRestarts, Range
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells, first_width
@@ -83,7 +83,7 @@ class _MappedCsv:
         cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(names)}
         times = mapped_times(path, mapping, cells, options.rate_hz)
         clock = cast("ClockKind", mapping.clock or times.clock(mapping.time_zone))
-        repeats, seen, back = RepeatFilter(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
+        restarts, seen, back = ClockRestarts(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
         events, hour = StateChanges(mapping.names), LocalClock(mapping.time_zone, times.pattern)
         canonicals: dict[str, Callable[[pl.DataFrame, CsvMap], pl.DataFrame]]
         canonicals = {"robot": _robot, "people": _people, "events": partial(_events, events)}
@@ -103,7 +103,7 @@ class _MappedCsv:
             if clock == "epoch":
                 require_epoch(path, rows.frame, times)
             if role == "robot":
-                rows = repeats.rows(rows, "repeats the time of the row before it")
+                restarts.add(rows.frame)
             else:
                 back.add(rows.frame)
             rows = replace(rows, frame=seen.without_missing(rows.frame))
@@ -126,7 +126,7 @@ class _MappedCsv:
             facts |= {"columns": ", ".join(name[:80] for name in names[:60]), **table.facts}
             unplaced = times.warnings(mapping.time_zone) if clock != "epoch" else []
             coarse = [spread.said] if spread else []
-            warnings = (*seen.warnings(repeats.back), *unplaced, *coarse, *back.warnings(), *hour.warnings())
+            warnings = (*seen.warnings(restarts.back), *unplaced, *coarse, *back.warnings(), *hour.warnings())
             return replace(last, warnings=warnings, facts=facts)
 
         yield from in_parts(path, table.blocks(names, wanted), make, finish)
@@ -179,7 +179,7 @@ def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
     texts = list(dict.fromkeys([*texts, *(column for column, lists in columns.lists.items() if made & set(numbers))]))
     if both := set(numbers).intersection(texts):
         raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
-    some = [name for name in (*numbers, *texts) if name not in mapping.time] if role == "robot" else []
+    some = [name for name in (*numbers, *texts) if name not in mapping.time]
     wanted = Wanted(
         numbers=[name for name in numbers if name not in made],
         texts=texts,

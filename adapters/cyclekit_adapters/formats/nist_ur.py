@@ -19,7 +19,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_pa
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit.text.numbers import compact
-from cyclekit_adapters.robots.controller_time import RepeatFilter
+from cyclekit_adapters.robots.controller_time import ClockRestarts
 from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
@@ -77,10 +77,11 @@ class _NistUr:
             missing = {_TIME, *_ANGLES}.difference(layout.names)
             raise MissingColumns(path, missing, layout.names, "Record the time, and joint angles or the tool.")
         wanted = [_TIME, *(name for group in groups for name in group)]
-        repeats, turning = RepeatFilter(_TIME), _Turning(_ANGLES in groups and _SPEEDS in groups, units)
+        restarts, turning = ClockRestarts(_TIME), _Turning(_ANGLES in groups and _SPEEDS in groups, units)
 
         def make(rows: TextRows) -> Recording:
-            rows = repeats.rows(_as_numbers(rows, wanted))
+            rows = _as_numbers(rows, wanted)
+            restarts.add(rows.frame)
             turning.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, groups, units),
@@ -96,7 +97,7 @@ class _NistUr:
                 "layout": "names in the first line" if layout.header_lines else "rows in brackets, names by position",
                 "units": ", ".join(str(options.map.get(key, next(iter(known)))) for key, known in _UNITS.items()),
             }
-            messages = [*repeats.warnings(), *_warnings(options), *turning.warnings()]
+            messages = [*restarts.warnings(), *_warnings(options), *turning.warnings()]
             return replace(last, warnings=tuple(messages), facts=facts)
 
         blocks = read_blocks(path, layout, numbers=[], texts=wanted)

@@ -22,7 +22,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, concat_parts
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.robots.controller_time import Range, RepeatFilter
+from cyclekit_adapters.robots.controller_time import ClockRestarts, Range
 from cyclekit_adapters.robots.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
 from cyclekit_adapters.robots.written_clock import WrittenClock
 from cyclekit_adapters.tasks.input_events import InputEvents
@@ -79,7 +79,7 @@ class _UrRtdeCsv:
         needed = [_INPUTS] if inputs is not None else []
         wanted = list(dict.fromkeys([*_fields(register, joints, options.columns), *needed]))
         clock = _clock(path, layout, options)
-        repeats, seen = RepeatFilter("timestamp"), _Seen()
+        restarts, seen = ClockRestarts("timestamp"), _Seen()
         blocks = partial(_blocks, path, layout, wanted, tuple(lists.wanted), clock)
         spread = None
         if clock.coarse:
@@ -89,7 +89,8 @@ class _UrRtdeCsv:
 
         def make(rows: TextRows) -> Recording:
             rows = clock.seconds(lists.rows(rows))
-            rows = repeats.rows(spread.rows(rows) if spread else rows)
+            rows = spread.rows(rows) if spread else rows
+            restarts.add(rows.frame)
             seen.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, register, joints),
@@ -106,10 +107,9 @@ class _UrRtdeCsv:
                 "writer": _writer(layout),
                 "register": register if register in layout.names else "not recorded",
                 "time": clock.fact(),
-                "repeated_rows": str(repeats.repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
             }
-            said = [*clock.warnings(), *([spread.said] if spread else []), *repeats.warnings(), *seen.warnings(names)]
+            said = [*clock.warnings(), *([spread.said] if spread else []), *restarts.warnings(), *seen.warnings(names)]
             return replace(last, warnings=tuple(said), facts=facts)
 
         yield from in_parts(path, blocks(), make, finish)

@@ -1,41 +1,28 @@
-"""Controller time of a robot log: repeated samples are set aside, backward steps of the clock are reported.
-
-A logger faster than its controller writes a sample twice, and a restarted controller counts from zero again. Both occur
-in every robot log, whatever its columns mean.
-"""
+"""Controller time of a robot log: a restarted controller counts from zero again, and that is reported."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from cyclekit_adapters.times.local_clock import newest_first
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from cyclekit_adapters.text.delimited import TextRows
-
 DAY_S = 86_400.0
-REPEATED = "repeats the controller sample before it"
 
 
 @dataclass
-class RepeatFilter:
-    """Sets repeated times aside, block after block of one log.
+class ClockRestarts:
+    """Counts lasting backward steps of a controller's clock, block after block of one log.
 
     Attributes:
         time: Name of the time column; it has no nulls.
-        repeated: Number of rows so far that repeat the previous one.
         back: Number of lasting backward steps of the clock so far. A single time that does not fit between its
             neighbours is a garbled number, set aside later, and no restart.
     """
 
     time: str
-    repeated: int = 0
     _back: int = 0
     _ends: tuple[float, ...] = ()
 
@@ -45,18 +32,12 @@ class RepeatFilter:
         ends = self._ends
         return self._back + (len(ends) > 1 and ends[-1] < ends[-2] and not (len(ends) > 2 and ends[-1] > ends[-3]))
 
-    def rows(self, rows: TextRows, reason: str = REPEATED) -> TextRows:
-        """Return the rows with repeated times set aside; a row after a backward step is kept, as the start of a run."""
-        times = rows.frame[self.time].to_numpy()
+    def add(self, frame: pl.DataFrame) -> None:
+        """Count the backward steps among the times of a block; its last row is judged when its successor is known."""
+        times = frame[self.time].to_numpy()
+        times = times[np.diff(times, prepend=self._ends[-1] if self._ends else np.nan) != 0.0]
         if not len(times):
-            return rows
-        again = np.diff(times, prepend=self._ends[-1] if self._ends else np.nan) == 0.0
-        self.repeated += int(again.sum())
-        self._count(times[~again])
-        return rows.without(pl.Series(again), reason) if again.any() else rows
-
-    def _count(self, times: NDArray[np.float64]) -> None:
-        """Count backward steps among distinct times, shape (N,); the last row is judged when its successor is known."""
+            return
         known = len(self._ends)
         seen = np.concatenate([self._ends, times])
         self._ends = tuple(seen[-3:].tolist())
@@ -67,15 +48,9 @@ class RepeatFilter:
         self._back += int((~low & ~high).sum())
 
     def warnings(self) -> list[str]:
-        """Return warnings about backward steps of the clock and about repeated rows."""
-        messages = []
-        if self.back:
-            messages.append(
-                f"the controller's clock steps back {self.back} time(s): it was restarted, each part is a separate run"
-            )
-        if self.repeated:
-            messages.append(f"{self.repeated} rows repeat the controller sample before them and are left out")
-        return messages
+        """Return a warning about backward steps of the clock."""
+        restarted = "it was restarted, each part is a separate run"
+        return [f"the controller's clock steps back {self.back} time(s): {restarted}"] if self.back else []
 
 
 @dataclass

@@ -30,9 +30,6 @@ DONE = {"1", "1.0", "true", "yes", "done", "ok", "success", "successful", "succe
 FAILED = {"0", "0.0", "-1", "-1.0", "false", "no", "failed", "fail", "failure", "error", "aborted", "abort",
           "canceled", "cancelled", "timeout", "ate_abort", "pi_abort"}  # fmt: skip
 
-SHOWN_REASONS = 3
-"""Maximum number of reasons in a warning."""
-
 
 @dataclass(frozen=True)
 class TaskTable:
@@ -94,7 +91,6 @@ def task_table(
     ).sort("t_s", maintain_order=True)
     people = [name for name, kind in kinds.items() if kind == "operator"]
     warnings = [
-        *_aside_warnings(aside, cells.height),
         *_warnings(rows, people),
         *_plan_warnings(good),
         *clocks.warnings,
@@ -171,13 +167,6 @@ def _warnings(rows: pl.DataFrame, people: Sequence[str]) -> list[str]:
             f"unknown outcomes, neither done nor failed, are kept as written: {', '.join(map(repr, unknown[:6]))}"
         )
     return messages
-
-
-def _aside_warnings(aside: pl.DataFrame, tasks: int) -> list[str]:
-    """Return a warning with the most frequent reasons for which tasks are set aside; none if none is."""
-    often = aside.group_by("reason").len().sort("len", "reason", descending=[True, False])
-    reasons = "; ".join(f"{reason} ({count})" for reason, count in often.head(SHOWN_REASONS).iter_rows())
-    return [f"{aside.height} of {tasks} tasks are set aside: {reasons}"] if reasons else []
 
 
 def _plan_warnings(cells: pl.DataFrame) -> list[str]:

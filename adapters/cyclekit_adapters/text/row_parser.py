@@ -2,8 +2,8 @@
 
 A row is used only if it has as many fields as the header, every number in it parses, and it ends with a line end. A
 block of lines is parsed at once. If that fails, it is halved repeatedly, and the lines around the fault are read one by
-one, each in the context of its neighbours: a line of other names ends the table, a fragment of a row makes the adjacent
-rows doubtful. `text_blocks` turns bytes into lines.
+one, each in the context of its neighbours: another header of the table holds for the rows below it, a line of other
+names ends the table, a fragment of a row makes the adjacent rows doubtful. `text_blocks` turns bytes into lines.
 """
 
 from __future__ import annotations
@@ -16,7 +16,14 @@ import polars as pl
 
 from cyclekit_adapters.text.block_table import BlockTable, short_lines, table_of
 from cyclekit_adapters.text.parallel_map import parallel_map
-from cyclekit_adapters.text.single_lines import as_texts, cells_of, is_fragment, is_name_line, miscounted
+from cyclekit_adapters.text.single_lines import (
+    as_texts,
+    cells_of,
+    is_fragment,
+    is_name_line,
+    miscounted,
+    other_header,
+)
 from cyclekit_adapters.text.text_rows import (
     CELL,
     INDEX,
@@ -63,8 +70,8 @@ class RowParser:
     """Parser of consecutive blocks of lines, with the current position in the file.
 
     Attributes:
-        layout: Format of the rows.
-        wanted: Columns to read.
+        layout: Format of the rows, by the last header.
+        wanted: Columns to read, of those in the last header.
         line: Number of the next line in its file.
         skip: Number of lines still to skip.
         row: Number of the next data row.
@@ -82,10 +89,13 @@ class RowParser:
     below_names: bool = field(default=True, init=False)
     after_fragment: bool = field(default=False, init=False)
 
+    def __post_init__(self) -> None:
+        self._all = self.wanted
+
     def rows(self, blocks: Iterable[bytes]) -> Iterator[TextRows]:
         """Yield the rows of consecutive blocks of lines; only the last line of all may lack a line end."""
-        for block, table in parallel_map(self._pieces(blocks), self._table_of):
-            yield from self._parsed(block, table)
+        for block, (layout, table) in parallel_map(self._pieces(blocks), self._table_of):
+            yield from map(self._completed, self._parsed(block, table if layout is self.layout else None))
 
     def _pieces(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
         """Yield the blocks without the skipped lines, split so that no row is separated from a fragment of it."""
@@ -106,8 +116,18 @@ class RowParser:
             self.skip, self.line = self.skip - 1, self.line + 1
         return block
 
-    def _table_of(self, block: bytes) -> BlockTable | None:
-        return table_of(block[: block.rfind(b"\n") + 1], self.layout, self.wanted)
+    def _table_of(self, block: bytes) -> tuple[TextLayout, BlockTable | None]:
+        """Return the rows of a block by the last header, and this; called in threads while the header may change."""
+        layout = self.layout
+        return layout, table_of(block[: block.rfind(b"\n") + 1], layout, self.wanted)
+
+    def _completed(self, rows: TextRows) -> TextRows:
+        """Return rows with all wanted columns; those that the last header lacks are unknown."""
+        if self.wanted is self._all:
+            return rows
+        types = {name: pl.Float64() if name in self._all.numbers else pl.String() for name in self._all.columns}
+        lacking = [pl.lit(None, types[name]).alias(name) for name in types if name not in rows.frame.columns]
+        return replace(rows, frame=rows.frame.with_columns(lacking).select("source_row", INDEX, *types))
 
     def _parsed(self, block: bytes, table: BlockTable | None) -> Iterator[TextRows]:
         """Yield the rows of a block; `table` holds them if the block alone was parsed without a fault."""
@@ -131,10 +151,11 @@ class RowParser:
         middle = self._middle(block)
         few = max(ONE_BY_ONE, _BYTES_A_COLUMN * len(self.layout.names))
         if len(block) <= few or not 0 < middle < len(block):
-            yield self._all_aside(block) or self._one_by_one(block)
+            aside = self._all_aside(block)
+            yield from self._one_by_one(block) if aside is None else [aside]
             return
         for half in (block[:middle], block[middle:]):
-            yield from self._halved(half, None if self.end_reason or self.after_fragment else self._table_of(half))
+            yield from self._halved(half, None if self.end_reason or self.after_fragment else self._table_of(half)[1])
 
     def _middle(self, block: bytes) -> int:
         """Return the offset at which to halve a block: after a line end, and not between a row and a fragment of it."""
@@ -152,7 +173,9 @@ class RowParser:
         return trusted(frame, [], frame.height, self.wanted, table.not_finite)
 
     def _all_aside(self, block: bytes) -> TextRows | None:
-        """Set all lines of a block aside at once if none can be a row or a repeated header; else return None."""
+        """Set all lines of a block aside at once if none can be a row or a header; else return None."""
+        if any(name.encode() in block for name in (*self.wanted.required, *self.wanted.columns)[:1]):
+            return None
         if (found := short_lines(block, self.layout)) is None:
             return None
         lines, fields = found
@@ -167,14 +190,30 @@ class RowParser:
         self.line, self.row = self.line + block.count(b"\n"), self.row + len(lines)
         return replace(none, set_aside=aside)
 
-    def _one_by_one(self, block: bytes) -> TextRows:
+    def _one_by_one(self, block: bytes) -> Iterator[TextRows]:
         found, begin = _Sorted(), self.row
         for content in block.split(b"\n")[:-1]:
             for piece in content.rstrip(b"\r").split(b"\r"):  # line end of old machines and progress bars
-                if piece.strip():
-                    self._sort_out(piece.decode("utf-8", "replace"), found)
+                if not piece.strip():
+                    continue
+                text = piece.decode("utf-8", "replace")
+                if names := other_header(text, self.layout, self._all):
+                    yield self._rows(found, rows_read=self.row - begin)
+                    found, begin = _Sorted(aside=[(self.line, self._continued(names))]), self.row
+                    self.row += 1
+                else:
+                    self._sort_out(text, found)
             self.line += 1
-        return self._rows(found, rows_read=self.row - begin)
+        yield self._rows(found, rows_read=self.row - begin)
+
+    def _continued(self, names: tuple[str, ...]) -> str:
+        """Take another header for the rows below; return what is said of its line."""
+        wanted = {kind: [name for name in columns if name in names] for kind, columns in vars(self._all).items()}
+        self.wanted = Wanted(**wanted)
+        self.layout = replace(self.layout, names=names)
+        self.end_reason, self.below_names, self.after_fragment = "", True, False
+        lacking = ", ".join(name for name in self._all.columns if name not in names)
+        return f"another header: the rows below it are read by it{f', without {lacking[:60]}' if lacking else ''}"
 
     def _sort_out(self, text: str, found: _Sorted) -> None:
         """Add one line to the kept rows or to those set aside."""

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit_adapters.text.block_table import mark_between
-from cyclekit_adapters.text.text_layout import strict_fields_of
+from cyclekit_adapters.text.text_layout import strict_fields_of, unique
 from cyclekit_adapters.text.text_rows import CELL, UNDECODED, UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit_adapters.text.text_layout import TextLayout
+    from cyclekit_adapters.text.text_rows import Wanted
 
 _FAR_TOO_MANY = 50
 _NUMBERISH = re.compile(r"[-+.,:0-9eE]+")
@@ -63,6 +64,24 @@ def is_name_line(fields: Sequence[str], layout: TextLayout, numbers: Sequence[st
         return False
     due = [cell for cell, name in zip(fields, layout.names, strict=True) if name in numbers]
     return any(cell.lower() not in UNKNOWN for cell in due)
+
+
+def other_header(text: str, layout: TextLayout, wanted: Wanted) -> tuple[str, ...]:
+    """Return the names in a line that is another header of the same table; empty for any other line.
+
+    A recording was continued with other columns, or in another order. Such a header names the required columns and at
+    least one other that is read.
+    """
+    needed = wanted.required or wanted.columns
+    if not needed or not all(name in text for name in needed):
+        return ()
+    fields = [cell.strip().strip('"') for cell in strict_fields_of(text, mark_between(layout)) or ()]
+    while fields and not fields[-1]:
+        fields.pop()
+    names, others = unique(fields), set(wanted.columns).difference(needed)
+    if layout.is_header(fields) or not set(needed) <= set(names) or (others and others.isdisjoint(names)):
+        return ()
+    return () if any(_BEGINS_NUMBER.match(cell) for cell in fields) else names
 
 
 def is_fragment(text: str, layout: TextLayout) -> bool:

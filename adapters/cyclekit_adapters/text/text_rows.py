@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Required, TypedDict
 
 import polars as pl
 
+from cyclekit.adapter import NO_VALUE
 from cyclekit.errors import DamagedLog, EmptyLog
 
 if TYPE_CHECKING:
@@ -164,10 +165,10 @@ def trusted(
     """
     set_aside = pl.DataFrame(aside, schema=SET_ASIDE, orient="row") if aside else pl.DataFrame(schema=SET_ASIDE)
     rows = TextRows(table, rows_read, set_aside, not_finite)
+    if wanted.any_of and all(rows.frame[name].null_count() for name in wanted.any_of):
+        nothing = rows.frame.select(pl.all_horizontal(pl.col(wanted.any_of).is_null())).to_series()
+        rows = rows.without(nothing, NO_VALUE)
     for name in wanted.required:
         if rows.frame[name].null_count():
             rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")
-    if wanted.any_of and all(rows.frame[name].null_count() for name in wanted.any_of):
-        nothing = rows.frame.select(pl.all_horizontal(pl.col(wanted.any_of).is_null())).to_series()
-        rows = rows.without(nothing, "no value in any column that is read, except its time")
     return rows

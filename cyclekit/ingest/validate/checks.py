@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.ingest.validate.loss import REPEATED
 from cyclekit.ingest.validate.motion import PERSON, TCP, WRONG_UNIT, Kind, Places
 from cyclekit.ingest.validate.no_person_values import NoPersonValues
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
@@ -73,6 +74,15 @@ class Checks:
         if here.height:
             self._aside.append(here.select("source_row", pl.lit(reason).alias("reason")))
         return frame.filter(~bad)
+
+    def without_repeats(self, frame: pl.DataFrame, twice: Bools, alike: str) -> pl.DataFrame:
+        """Set aside rows that repeat another one, and those that are only `alike`, with other values."""
+        if not twice.any():
+            return frame
+        first = frame.select(pl.struct(pl.exclude("source_row", PLACE)).is_first_distinct()).to_series().to_numpy()
+        same = twice & ~first
+        frame = self.drop(frame, same, REPEATED)
+        return self.drop(frame, (twice & first)[~same], f"{alike}, and other values")
 
     def finite(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Replace NaN and infinity by null, and count them; adapters of text logs have already done so."""
@@ -144,8 +154,7 @@ class RobotChecks(Checks):
     def check(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without implausible rows."""
         frame = scaling_while_playing(self.timed(self.finite(frame)))
-        times = column(frame, "t_s")
-        frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
+        frame = self.without_repeats(frame, repeated(column(frame, "t_s")), "has the time of the row before it")
         bad = stray_times(column(frame, "t_s"))
         frame = self.drop(frame, bad, "its time does not fit between its neighbours")
         frame = placed(self, frame, self._places, tracks(frame))
@@ -225,7 +234,7 @@ class PeopleChecks(Checks):
     def _in_order(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Set aside repeated times of a person, and single times that do not fit between their neighbours."""
         twice = frame.select(~pl.struct("t_s", "person").is_first_distinct()).to_series().to_numpy()
-        frame = self.drop(frame, twice, "repeats person and time of a row before it")
+        frame = self.without_repeats(frame, twice, "has the person and the time of a row before it")
         bad = np.zeros(frame.height, bool)
         for rows in tracks(frame):
             bad[rows] = stray_times(column(frame, "t_s")[rows])

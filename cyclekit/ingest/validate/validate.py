@@ -69,7 +69,7 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
                 tables[name], dropped = kept_rows(window), check.take_set_aside()
                 aside += [_reasons(rows) for rows in dropped]
         loss.add(replace(part, **tables), aside)  # type: ignore[arg-type]  # the names are those of the fields
-        judges = (*checks.values(), loss) if after is None else ()
+        judges: tuple[Checks | Loss, ...] = (*checks.values(), loss) if after is None else ()
         messages = tuple(text for judge in judges for text in judge.warnings())
         new = tuple(text for text in messages if text not in part.warnings)
         cannot = tuple(text for judge in judges for text in judge.impossible())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.dataset.cards import FiguresCard, MonthCard
-from cyclekit.ingest.validate.loss import NO_LOSS
+from cyclekit.ingest.validate.lost_rows import NO_LOSS
 from cyclekit.learning.evaluation.drift import Drift
 from cyclekit.text.numbers import fixed
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING
 
-from cyclekit.ingest.validate.loss import SAID
+from cyclekit.ingest.validate.lost_rows import SAID
 from cyclekit.report.fleet_months import months_picture
 from cyclekit.report.template import Template
 from cyclekit.text.numbers import count, fixed, percent

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.ingest.validate.loss import REPEATED
+from cyclekit.ingest.validate.lost_rows import REPEATED
 from cyclekit.ingest.validate.motion import PERSON, TCP, WRONG_UNIT, Kind, Places
 from cyclekit.ingest.validate.no_person_values import NoPersonValues
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows

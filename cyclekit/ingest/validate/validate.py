@@ -16,7 +16,7 @@ import polars as pl
 
 from cyclekit.adapter import concat_parts
 from cyclekit.ingest.validate.checks import Checks, PeopleChecks, RobotChecks
-from cyclekit.ingest.validate.loss import Loss
+from cyclekit.ingest.validate.lost_rows import LostRows
 from cyclekit.ingest.validate.task_lists import TaskChecks
 from cyclekit.ingest.validate.window import SlidingWindow, kept_rows
 from cyclekit.text.columns import in_one_line
@@ -55,7 +55,7 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
     checks = {"robot": RobotChecks(), "people": PeopleChecks(), "events": Checks("an event"), "task_list": TaskChecks()}
     checks["safety"] = Checks("the safety system")
     sliding = {name: SlidingWindow(check.neighbours) for name, check in checks.items()}
-    loss, parts = Loss(), iter(parts)
+    lost_rows, parts = LostRows(), iter(parts)
     part = next(parts, None)
     while part is not None:
         part = _named_in_lines(part)
@@ -68,8 +68,8 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
                 window = check.check(window)
                 tables[name], dropped = kept_rows(window), check.take_set_aside()
                 aside += [_reasons(rows) for rows in dropped]
-        loss.add(replace(part, **tables), aside)  # type: ignore[arg-type]  # the names are those of the fields
-        judges: tuple[Checks | Loss, ...] = (*checks.values(), loss) if after is None else ()
+        lost_rows.add(replace(part, **tables), aside)  # type: ignore[arg-type]  # the names are those of the fields
+        judges: tuple[Checks | LostRows, ...] = (*checks.values(), lost_rows) if after is None else ()
         messages = tuple(text for judge in judges for text in judge.warnings())
         new = tuple(text for text in messages if text not in part.warnings)
         cannot = tuple(text for judge in judges for text in judge.impossible())

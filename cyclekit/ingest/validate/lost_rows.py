@@ -32,7 +32,7 @@ _ORDERED = ("robot", "people", "task_list")
 """Tables with a row for each row of the log."""
 
 
-class Loss:
+class LostRows:
     """Counts the rows lost, part after part of one log."""
 
     def __init__(self) -> None:

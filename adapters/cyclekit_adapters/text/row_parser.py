@@ -197,7 +197,7 @@ class RowParser:
                 if not piece.strip():
                     continue
                 text = piece.decode("utf-8", "replace")
-                if names := other_header(text, self.layout, self._all):
+                if not self.below_names and (names := other_header(text, self.layout, self._all)):
                     yield self._rows(found, rows_read=self.row - begin)
                     found, begin = _Sorted(aside=[(self.line, self._continued(names))]), self.row
                     self.row += 1

@@ -11,8 +11,9 @@ from one_track import many_tracks, one_track
 
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, OwnWorkCard
 from cyclekit.estimate.joint.legs import Gates, operator_agenda
-from cyclekit.estimate.joint.long_stays import OperatorVisit, parted_stays
+from cyclekit.estimate.joint.long_stays import parted_stays
 from cyclekit.estimate.joint.visits import Segments
+from cyclekit.learning.coupling.events.visits import PlaceVisit
 
 if TYPE_CHECKING:
     from simulated_cells import Cells
@@ -85,13 +86,13 @@ def test_one_long_stay_of_several_tasks_counts_as_several_visits(cells: Cells) -
     assert np.mean(np.array(visits) == 3) > 0.9
     assert max(visits) == 3
     for order in found.orders.values():
-        assert all(before.leaves_s <= after.arrives_s for before, after in pairwise(order))
+        assert all(before.left_s <= after.arrived_s for before, after in pairwise(order))
 
 
 def test_a_stay_is_parted_into_no_more_tasks_than_it_has_time_for() -> None:
-    visits = [OperatorVisit("bench", 0.0, 6.2), OperatorVisit("shelf", 8.0, 20.0), OperatorVisit("bench", 22.0, 25.0)]
+    visits = [PlaceVisit("bench", 0.0, 6.2), PlaceVisit("shelf", 8.0, 20.0), PlaceVisit("bench", 22.0, 25.0)]
     parted = parted_stays(visits, "bench", 4, 2.0)
-    assert [(visit.place, round(visit.arrives_s, 2)) for visit in parted] == [
+    assert [(visit.place, round(visit.arrived_s, 2)) for visit in parted] == [
         ("bench", 0.0),
         ("bench", 2.07),
         ("bench", 4.13),

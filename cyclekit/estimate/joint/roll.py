@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.cycle.engine import Presence
     from cyclekit.estimate.joint.legs import Event
-    from cyclekit.estimate.joint.long_stays import OperatorVisit
     from cyclekit.estimate.joint.walk import UnslowedAgent
     from cyclekit.estimate.robot.safety import Logged
+    from cyclekit.learning.coupling.events.visits import PlaceVisit
     from cyclekit.schema import Ints, Vector
 
 ROWS = 8192
@@ -165,7 +165,7 @@ class JointCell:
         return bool(gates) and not self.segments.orders and all(gate.agent == "robot" for gate in gates)
 
     @cached_property
-    def logged(self) -> Mapping[str, tuple[OperatorVisit, ...]]:
+    def logged(self) -> Mapping[str, tuple[PlaceVisit, ...]]:
         """What the operator did in each logged execution that it rests on, by its name; nothing where he is unseen."""
         if not self.unseen:
             return self.segments.orders

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.cards.dataset import begun
-from cyclekit.estimate.joint.long_stays import OperatorVisit, parted_stays, unseen_walks
+from cyclekit.estimate.joint.long_stays import parted_stays, unseen_walks
 from cyclekit.estimate.joint.stop_overs import StopOvers
 from cyclekit.estimate.operator.tracks import logged_tracks
 from cyclekit.learning.censored import as_whole
@@ -87,7 +87,7 @@ class Segments:
         self._waits_before = {
             gate.place for gate in every_gate if gate.conditions and (gate.agent, gate.at) == ("operator", "approach")
         }
-        self._visits: dict[str, tuple[OperatorVisit, ...]] = {}
+        self._visits: dict[str, tuple[PlaceVisit, ...]] = {}
         cards = dataset.card.executions
         self._whole = {one.execution for one in cards if one.whole and not one.reference}
         known = {one.execution for one in begun(cards) if not one.reference}
@@ -167,9 +167,9 @@ class Segments:
             return np.sort(single)
         cut = [(visits[-1], self._pace_of(name)[0]) for name, visits in self._visits.items() if visits]
         cut_s = [
-            (visit.leaves_s - visit.arrives_s) / pace
+            (visit.left_s - visit.arrived_s) / pace
             for visit, pace in cut
-            if visit.place == place and visit.arrives_s > 0.0
+            if visit.place == place and visit.arrived_s > 0.0
         ]
         if not len(stays):
             return stays
@@ -180,8 +180,8 @@ class Segments:
         stays: list[tuple[int, float]] = []
         for name, visits in self._visits.items():
             times, (pace, _) = sum(visit.place == place for visit in visits), self._pace_of(name)
-            mine = [visit for visit in visits[:-1] if visit.place == place and visit.arrives_s > 0.0]
-            stays += [(times, (visit.leaves_s - visit.arrives_s) / pace) for visit in mine]
+            mine = [visit for visit in visits[:-1] if visit.place == place and visit.arrived_s > 0.0]
+            stays += [(times, (visit.left_s - visit.arrived_s) / pace) for visit in mine]
         most, every = max((times for times, _ in stays), default=0), np.array([s for _, s in stays])
         single, others = (np.array([s for n, s in stays if (n == most) is alone]) for alone in (True, False))
         if min(len(single), len(others)) >= MIN_WALKS:
@@ -190,7 +190,7 @@ class Segments:
                 return every, single
         return every, None
 
-    def _tasks(self) -> dict[str, tuple[OperatorVisit, ...]]:
+    def _tasks(self) -> dict[str, tuple[PlaceVisit, ...]]:
         """Return the visits in each execution, with stays of several consecutive tasks at one place as so many visits.
 
         No execution then has more visits to the place than the most that were logged, and none is shorter than all.
@@ -314,7 +314,7 @@ class Segments:
             return
         self._begins.append(where[0])
         at_s = [(place, a * self._step_s, b * self._step_s) for place, a, b in spans]
-        self._visits[name] = tuple(OperatorVisit(place, a if a > AT_START_S else 0.0, b) for place, a, b in at_s)
+        self._visits[name] = tuple(PlaceVisit(place, a if a > AT_START_S else 0.0, b) for place, a, b in at_s)
         for number, (place, first, left) in enumerate(spans):
             end = self._row(trips[number].left_s) if number in trips else left
             self._stays[place].append(self._add(where[first : end + 1]))

@@ -8,6 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
+from backports import zstd
 from bag_files import (
     KINDS,
     MCAPS,
@@ -30,6 +31,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from cyclekit.adapter import ReadOptions
+from cyclekit.errors import DamagedLog
 from cyclekit_adapters.rosbag import ADAPTER, mcap_file
 from cyclekit_adapters.rosbag.container import opened
 from cyclekit_adapters.rosbag.folder import folder_of
@@ -177,6 +179,39 @@ def test_a_folder_compressed_once_more_is_read_too(tmp_path, mode, plugin):
     assert places(tmp_path / "run") == (*expected(60), [], [])
 
 
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("version", [8, 9])
+def test_what_was_compressed_once_more_is_read_by_its_content_without_metadata(tmp_path, mode, version):
+    """A bag before version 9 in sqlite3 holds no definitions, so that they are found by the messages."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    plugin = StoragePlugin.SQLITE3
+    with Writer2(tmp_path / "run", version=version, storage_plugin=plugin) as writer:
+        connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in KINDS.items()}
+        for topic, time_ns, raw in messages(60):
+            stored = zstd.compress(raw) if mode is CompressionMode.MESSAGE else raw
+            writer.write(connections[topic], time_ns, stored)
+    (file,) = (tmp_path / "run").glob("*.db3")
+    if mode is CompressionMode.FILE:
+        file = file.rename(f"{file}.zstd")
+        file.write_bytes(zstd.compress(file.read_bytes()))
+    alone = tmp_path / file.name
+    file.rename(alone)
+    assert ADAPTER.recognises(alone)
+    read = ADAPTER.read(alone, ReadOptions())
+    assert read.robot["tcp_x_m"].to_list() == [place for _, place in expected(60)[0]]
+    assert read.set_aside.is_empty()
+
+
+def test_a_bag_without_its_write_ahead_log_says_that_it_holds_no_message(tmp_path):
+    with Writer2(tmp_path / "run", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        for topic, kind in KINDS.items():
+            writer.add_connection(topic, kind, typestore=get_typestore(Stores.ROS2_HUMBLE))
+    (file,) = (tmp_path / "run").glob("*.db3")
+    with pytest.raises(DamagedLog, match="holds no message") as caught:
+        ADAPTER.read(file, ReadOptions())
+    assert f"{file.name}-wal" in caught.value.cure
+
+
 METADATA = """rosbag2_bagfile_information:
   version: 5
   topics_with_message_count:
@@ -193,18 +228,18 @@ METADATA = """rosbag2_bagfile_information:
 
 
 @pytest.mark.parametrize(
-    ("files", "mode", "names", "compressed"),
+    ("files", "mode", "names"),
     [
-        ("    - run_0.mcap\n    - run_1.mcap", '""', ["run_0.mcap", "run_1.mcap"], False),
-        ("  - 'my run_0.mcap'", "FILE", ["my run_0.mcap"], True),
-        ('  - "run_0.mcap"', "none", ["run_0.mcap"], False),
-        ('  - "r\\u00e9_0.mcap"', "''", ["ré_0.mcap"], False),  # only a parser of YAML reads this
-        ("  - other/run_0.mcap   # a comment", "NONE", ["run_0.mcap"], False),
-        ("    [run_0.mcap, run_1.mcap]", '""', ["run_0.mcap", "run_1.mcap"], False),
+        ("    - run_0.mcap\n    - run_1.mcap", '""', ["run_0.mcap", "run_1.mcap"]),
+        ("  - 'my run_0.mcap'", "FILE", ["my run_0.mcap"]),
+        ('  - "run_0.mcap"', "none", ["run_0.mcap"]),
+        ('  - "r\\u00e9_0.mcap"', "''", ["ré_0.mcap"]),  # only a parser of YAML reads this
+        ("  - other/run_0.mcap   # a comment", "NONE", ["run_0.mcap"]),
+        ("    [run_0.mcap, run_1.mcap]", '""', ["run_0.mcap", "run_1.mcap"]),
     ],
 )
 @pytest.mark.parametrize("last", [True, False])
-def test_metadata_names_the_files_however_its_yaml_is_written(tmp_path, files, mode, names, compressed, last):
+def test_metadata_names_the_files_however_its_yaml_is_written(tmp_path, files, mode, names, last):
     for name in names:
         (tmp_path / name).touch()
     text = METADATA.format(files=files, mode=mode)
@@ -213,7 +248,6 @@ def test_metadata_names_the_files_however_its_yaml_is_written(tmp_path, files, m
     (tmp_path / "metadata.yaml").write_text(text, encoding="utf-8")
     folder = folder_of(tmp_path)
     assert [file.name for file in folder.files] == names
-    assert folder.compressed == compressed
     assert folder.warnings == []
 
 

@@ -8,6 +8,7 @@ cannot be decoded is counted and left out.
 from __future__ import annotations
 
 import sqlite3
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,19 +16,21 @@ from pathlib import Path
 
 import numpy as np
 
+from cyclekit.adapter import Scratch
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit_adapters.rosbag import library_file, mcap_file, ros1_file, sqlite_file
+from cyclekit_adapters.rosbag import mcap_file, ros1_file, sqlite_file
 from cyclekit_adapters.rosbag.chunks import ChunkedFile
 from cyclekit_adapters.rosbag.decode import Decoder, Group
 from cyclekit_adapters.rosbag.definitions import is_known
-from cyclekit_adapters.rosbag.first_bytes import MCAP, ROS1, SQLITE, head
+from cyclekit_adapters.rosbag.first_bytes import MCAP, ROS1, SQLITE, ZSTD, head
 from cyclekit_adapters.rosbag.folder import Folder, folder_of
+from cyclekit_adapters.rosbag.inflate import unpack_file, unpacked
 from cyclekit_adapters.rosbag.known import KNOWN
 from cyclekit_adapters.rosbag.payloads import BagFile, Channel, Damage, Ints
 from cyclekit_adapters.rosbag.undefined import find_layout
 
 _LFS = b"version https://git-lfs.github.com/spec/"
-_AGAIN = "Copy it again from where it was recorded"
+AGAIN = "Copy it again from where it was recorded"
 
 
 @dataclass
@@ -96,7 +99,7 @@ class Bag:
                 before = sum(part.size for _, part in received)
                 received.append((place, payloads.receive_ns))
                 self.messages_read += payloads.size.size
-                for group in decoder.groups(payloads):
+                for group in decoder.groups(unpacked(payloads)):
                     yield Arrived(topic, kind, group.rows + before, group)
                 self.undecodable += [(topic, before + row, reason) for row, reason in decoder.broken]
 
@@ -173,7 +176,7 @@ def opened(path: Path) -> Iterator[Bag]:
     for file in folder.files:
         _check(file)
     try:
-        files = [library_file.open_file(path)] if folder.compressed else [_open_file(file) for file in folder.files]
+        files = [_open_file(file) for file in folder.files]
     except LogError:
         raise
     except Exception as error:
@@ -187,7 +190,7 @@ def opened(path: Path) -> Iterator[Bag]:
             bag.counts[channel.topic] = bag.counts.get(channel.topic, 0) + found.counts.get(number, 0)
     if not any(bag.counts.values()) and (bag.warnings or bag.set_aside()):
         why = "; ".join([*bag.warnings, *bag.set_aside()][:3])
-        raise DamagedLog(path, f"nothing can be recovered from it: {why}", cure=f"{_AGAIN}.")
+        raise DamagedLog(path, f"nothing can be recovered from it: {why}", cure=f"{AGAIN}.")
     yield bag
 
 
@@ -197,13 +200,15 @@ def _check(file: Path) -> None:
     if first.startswith(_LFS):
         raise DamagedLog(file, "this is a Git LFS pointer, not the bag itself", cure="Fetch the content: git lfs pull")
     if not first:
-        raise DamagedLog(file, "the file is empty or cannot be read", cure=f"{_AGAIN}.")
-    if not first.startswith((ROS1, MCAP, SQLITE)) and file.suffix != ".zstd":
-        raise DamagedLog(file, "its content is not a ROS 1 bag, an mcap or a sqlite3 bag", cure=f"{_AGAIN}.")
+        raise DamagedLog(file, "the file is empty or cannot be read", cure=f"{AGAIN}.")
+    if not first.startswith((ROS1, MCAP, SQLITE, ZSTD)):
+        raise DamagedLog(file, "its content is not a ROS 1 bag, an mcap or a sqlite3 bag", cure=f"{AGAIN}.")
 
 
 def _open_file(file: Path) -> BagFile:
     first = head(file, 64)
+    if first.startswith(ZSTD):
+        return _open_copy(file)
     if first.startswith(ROS1):
         return ros1_file.open_file(file)
     if first.startswith(MCAP):
@@ -211,12 +216,27 @@ def _open_file(file: Path) -> BagFile:
     return sqlite_file.open_file(file)
 
 
+def _open_copy(file: Path) -> BagFile:
+    """Open a file that the recorder compressed as a whole, unpacked for as long as it is in use."""
+    scratch = Scratch()
+    try:
+        copy = scratch.path / file.stem
+        unpack_file(file, copy)
+        _check(copy)
+        found = _open_file(copy)
+    except BaseException:
+        scratch.remove()
+        raise
+    weakref.finalize(found, scratch.remove)
+    return found
+
+
 def damaged(path: Path, error: Exception) -> DamagedLog:
     """Return the error with cause and cure."""
     if isinstance(error, Damage):
         return DamagedLog(path, str(error), cure="Record it again without encryption, or convert it: rosbag migrate.")
-    cure = f"{_AGAIN}."
+    cure = f"{AGAIN}."
     if isinstance(error, sqlite3.Error):
-        cure = f"{_AGAIN}, or recover what there is: sqlite3 {path.name} .recover"
+        cure = f"{AGAIN}, or recover what there is: sqlite3 {path.name} .recover"
     message = " ".join(str(part) for part in error.args) or repr(error)
     return DamagedLog(path, f"the bag is damaged ({type(error).__name__}: {message[:120]})", cure=cure)

@@ -17,16 +17,14 @@ from cyclekit.errors import DamagedLog, OutsideFolder
 _SUFFIXES = (".mcap", ".db3", ".zstd")
 _MAX_BYTES = 1 << 20  # of metadata.yaml: no recorder writes more
 _HEAD = "rosbag2_bagfile_information:\n"
-_MODE = re.compile(r"^  compression_mode: *(['\"]?)(\w*)\1 *$", re.MULTILINE)
 _FILES = re.compile(r"^  relative_file_paths:\n((?: +- (['\"]?)[\w./ -]+\2\n)+)(?=  \w|\Z)", re.MULTILINE)
 
 
 @dataclass
 class Folder:
-    """Files of a recording; `compressed`: the files, or single messages, are compressed additionally."""
+    """Files of a recording."""
 
     files: list[Path]
-    compressed: bool = False
     warnings: list[str] = field(default_factory=list)
 
 
@@ -43,7 +41,6 @@ def folder_of(path: Path) -> Folder:
         named = [
             inside(path, PurePosixPath(str(name)).name, follow_links=True) for name in about["relative_file_paths"]
         ]
-        folder.compressed = str(about.get("compression_mode") or "none").lower() != "none"
     except OutsideFolder as error:
         raise DamagedLog(path, f"metadata.yaml: {error.cause}", cure="Copy the recording again.") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -65,10 +62,10 @@ def _about(file: Path) -> dict[str, Any]:
     if file.stat().st_size > _MAX_BYTES:
         raise ValueError("it is larger than any recorder writes")
     text = file.read_text(encoding="utf-8")
-    modes, files = _MODE.findall(text), _FILES.findall(text)
-    if text.startswith(_HEAD) and len(modes) == len(files) == 1 and text.count("relative_file_paths") == 1:
+    files = _FILES.findall(text)
+    if text.startswith(_HEAD) and len(files) == 1 and text.count("relative_file_paths") == 1:
         names = [line.strip()[1:].strip().strip("'\"") for line in files[0][0].splitlines()]
-        return {"relative_file_paths": names, "compression_mode": modes[0][1]}
+        return {"relative_file_paths": names}
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 

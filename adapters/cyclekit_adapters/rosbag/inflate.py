@@ -1,4 +1,4 @@
-"""Decompression of one chunk, limited to its declared size, with protection against decompression bombs.
+"""Decompression of chunks, messages and files, limited in size as a protection against decompression bombs.
 
 A chunk declares its decompressed size. Decompression goes piece by piece and stops one byte after that size, so a wrong
 declaration costs no more memory. A chunk that declares more than any logger writes is refused before decompression.
@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import bz2
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit_adapters.rosbag.payloads import Bytes, Damage
+from cyclekit_adapters.rosbag.first_bytes import ZSTD
+from cyclekit_adapters.rosbag.payloads import Bytes, Damage, Payloads, gather
 
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
     from backports import zstd
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 STORED = ("", "none")
 """Names for "not compressed"."""
@@ -67,6 +71,46 @@ def inflate(stored: bytes, compression: str, into: Bytes, *, whole: bool = True)
     if filled < into.size and whole:
         raise Damage(f"it holds less than the {into.size} bytes it announces")
     return filled, bytes(part)
+
+
+def unpacked(payloads: Payloads) -> Payloads:
+    """Return messages with those decompressed that rosbag2 compressed one by one; no message begins like such a one."""
+    first = gather(payloads.buffer, payloads.start[payloads.size >= len(ZSTD)][:1], len(ZSTD))
+    if first.tobytes() != ZSTD:
+        return payloads
+    messages = [_message(payloads.one(row)) for row in range(payloads.size.size)]
+    size = np.fromiter(map(len, messages), np.int64, len(messages))
+    buffer = np.frombuffer(b"".join(messages), np.uint8)
+    return Payloads(buffer, np.cumsum(size) - size, size, payloads.receive_ns)
+
+
+def _message(stored: bytes) -> bytes:
+    """Return a message decompressed; as stored if it is damaged, which the decoder then says of it."""
+    if not stored.startswith(ZSTD):
+        return stored
+    try:
+        return bytes(zstd.ZstdDecompressor().decompress(stored, max_length=MAX_RATIO * len(stored)))
+    except zstd.ZstdError:
+        return stored
+
+
+def unpack_file(path: Path, into: Path) -> None:
+    """Write the content of a file that is compressed as a whole.
+
+    Raises:
+        Damage: It cannot be decompressed, to more than any recorder writes, or is compressed twice.
+    """
+    size, most = 0, MAX_RATIO * path.stat().st_size
+    try:
+        with zstd.ZstdFile(path) as stored, into.open("wb") as file:
+            while piece := stored.read(_STEP):
+                if not size and piece.startswith(ZSTD):
+                    raise Damage("it is compressed twice")
+                size += file.write(piece)
+                if size > most:
+                    raise Damage(f"it unpacks to more than {MAX_RATIO} times its size: it is not a bag")
+    except (zstd.ZstdError, EOFError) as error:
+        raise Damage(f"it cannot be unpacked (zstd: {str(error)[:60]})") from error
 
 
 def check_size(stored: int, size: int) -> None:

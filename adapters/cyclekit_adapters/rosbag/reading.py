@@ -12,12 +12,13 @@ from cyclekit.adapter import ClockKind, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit.schema import STAMPS, conform
 from cyclekit_adapters.rosbag.clocks import EPOCH_S, StampSource, choose_times, simulated
-from cyclekit_adapters.rosbag.container import Bag, opened
+from cyclekit_adapters.rosbag.container import AGAIN, Bag, opened
 from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.facts import facts_of
 from cyclekit_adapters.rosbag.frames import Frames, find_frames
 from cyclekit_adapters.rosbag.people_tables import people_table, skeletons_table
 from cyclekit_adapters.rosbag.roles import Roles, roles_in
+from cyclekit_adapters.rosbag.sqlite_file import SqliteFile
 from cyclekit_adapters.rosbag.tables import events_table, robot_table
 from cyclekit_adapters.rosbag.tracks import Contents, collect
 from cyclekit_adapters.text.text_rows import SET_ASIDE
@@ -136,7 +137,19 @@ def _several_arms(path: Path, tools: list[str]) -> LogError:
 
 
 def _nothing_usable(bag: Bag) -> DamagedLog:
-    found = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.topics.items())) or "none"
+    if bag.topics and not any(bag.counts.values()):
+        named = ", ".join(sorted(bag.topics)[:4]) + (", ..." if len(bag.topics) > 4 else "")
+        files = [file.path.name for file in bag.files if isinstance(file, SqliteFile)]
+        cure = f"Copy {files[0]}-wal from beside it too: it holds what was not in the bag yet. " if files else ""
+        cause = f"it names {len(bag.topics)} topics ({named}) and holds no message"
+        return DamagedLog(bag.path, cause, cure=f"{cure}Else record it again.")
+    if bag.undecodable:
+        topic, _, reason = bag.undecodable[0]
+        cause = f"none of its messages of a robot, people or events can be read; the first, of {topic}: {reason}"
+        return DamagedLog(bag.path, cause, cure=f"{AGAIN}, or convert it there: ros2 bag convert")
+    none = {topic for topic, count in bag.counts.items() if not count}
+    of = {topic: f"{kind}{', no message' if topic in none else ''}" for topic, kind in sorted(bag.topics.items())}
+    found = ", ".join(f"{topic} ({about})" for topic, about in of.items()) or "none"
     cure = "Name the topics in [sources.map] of cell.toml: tcp, joints, scaling, people, events."
     return DamagedLog(bag.path, f"no topic with a robot, people or events; topics in the bag: {found}", cure=cure)
 

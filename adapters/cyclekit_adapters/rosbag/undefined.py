@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit_adapters.rosbag.decode import Decoder, Group
+from cyclekit_adapters.rosbag.inflate import unpacked
 from cyclekit_adapters.rosbag.known import KNOWN
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def find_layout(file: BagFile, channel: Channel) -> TopicFindings:
     left = [replace(channel, notation="known", definition=layout.name) for layout in KNOWN[channel.kind]]
     doubt, messages = False, 0
     for block in file.blocks({channel.number}):
-        for payloads in block.values():
+        for payloads in map(unpacked, block.values()):
             messages += payloads.size.size
             decoded = []
             for one in left:

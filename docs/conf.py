@@ -20,7 +20,10 @@ NOTES = [f"docs/notebook/{page.stem}" for page in sorted(DOCS.glob("notebook/[!R
 TABLES = [f"docs/notebook/tables/{page.stem}" for page in sorted(DOCS.glob("notebook/tables/*.md"))]
 SIDEBAR = {
     "Start": ["README", "docs/tutorial"],
-    "How to": [f"docs/howto/{name}" for name in ("ur-motive", "kuka-scanner", "ros2-bag", "no-override", "no-tracker")],
+    "How to": [
+        *(f"docs/howto/{name}" for name in ("ur-motive", "kuka-scanner", "ros2-bag")),
+        *(f"docs/howto/{name}" for name in ("no-override", "no-tracker", "plc-only")),
+    ],
     "Using it": [
         *(f"docs/{name}" for name in ("commands", "concepts", "adapters", "clocks", "override", "models")),
         *(f"docs/{name}" for name in ("report", "replay", "fleet", "library")),

@@ -7,6 +7,7 @@ An adapter turns one log into tables in SI units, in the log's own clock and fra
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Protocol, runtime_checkable
@@ -24,11 +25,32 @@ if TYPE_CHECKING:
 Role = Literal["robot", "people", "events", "tasks"]
 ClockKind = Literal["epoch", "uptime", "relative"]
 RowKind = Literal["line", "row", "message", "frame"]
+_PEOPLE = {"human", "operator", "person", "worker", "technician", "werker", "bediener", "mensch", "mitarbeiter"}
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 inside = safe_path  # for adapters of folders: a path from a name in the data
 NO_VALUE = "no value in any column that is read, except its time"
 """Reason for which a row is set aside without loss: it holds nothing."""
 TABLES = ("robot", "people", "events", "task_list", "safety", "skeletons", "stamps")
 """Fields of `Recording` that hold tables; ingest stores each under its name."""
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What an agent does, told by a state that a log of signals holds: `[[sources.activities]]` of the cell file.
+
+    Attributes:
+        column: Signal of the states, such as the step of a sequence chain; or several bits, each a state of its own
+            name. `*` and `?` match any text.
+        agent: Name of the agent.
+        idle: States that are no activity, such as the step in which it waits for the start.
+        cycle: What begins a cycle: a signal that comes on or changes, or one that takes a value (`Step=10`); an idle
+            state begins it when it is left. None: nothing in the log.
+    """
+
+    column: tuple[str, ...]
+    agent: str = "robot"
+    idle: tuple[str, ...] = ()
+    cycle: str | None = None
 
 
 @dataclass(frozen=True)
@@ -46,6 +68,7 @@ class ReadOptions:
             log itself holds the transform to the robot's base.
         columns: Canonical columns that are needed, in addition to `t_s`; empty = all. An adapter may skip the others
             to save time.
+        activities: States of its signals that are tasks; the registry makes a task list of them, not the adapter.
     """
 
     role: Role | None = None
@@ -56,6 +79,7 @@ class ReadOptions:
     skeletons: bool = False
     frame_given: bool = False
     columns: tuple[str, ...] = ()
+    activities: tuple[Activity, ...] = ()
 
 
 class TimeUnit(NamedTuple):
@@ -228,6 +252,12 @@ class DraftingAdapter(Adapter, Protocol):
             cyclekit.errors.LogError: The file cannot be read.
         """
         ...
+
+
+def is_person(agent: str) -> bool:
+    """Return whether an agent's name contains a word for a person, such as human, operator, person or worker."""
+    words = (word.lower() for word in _WORDS.findall(agent))
+    return any(word in _PEOPLE or word.removesuffix("s") in _PEOPLE for word in words)
 
 
 def concat_parts(parts: Iterable[Recording]) -> Recording:

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from cyclekit.adapter import Activity
+
 Role = Literal["robot", "people", "events", "tasks"]
 Mover = Literal["people", "program", "hand"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
@@ -81,6 +83,7 @@ class Source:
             the logs.
         rate_hz: Rate of a log without clock.
         map: Columns, units or topics for the adapter.
+        activities: States of its signals that are tasks of an agent.
     """
 
     path: str
@@ -99,6 +102,7 @@ class Source:
     silence: Literal["absent", "unknown"] | None = None
     rate_hz: Rate | None = None
     map: Mapping[str, object] = field(default_factory=dict)
+    activities: tuple[Activity, ...] = ()
 
 
 @dataclass(frozen=True)

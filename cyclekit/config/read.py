@@ -102,7 +102,16 @@ def _source(where: str, entry: object) -> dict[str, object]:
         found["frame"] = _frame(f"{where} frame", found["frame"])
     if "map" in found:
         found["map"] = _map(f"{where} map", found["map"])
+    if "activities" in found:
+        found["activities"] = [_activity(entry) for entry in require_list(where, found, "activities")]
     return found
+
+
+def _activity(entry: object) -> object:
+    """Return its keys with a single column or idle state as a list."""
+    if not isinstance(entry, Mapping):
+        return entry
+    return {**entry, **{key: [entry[key]] for key in ("column", "idle") if isinstance(entry.get(key), str)}}
 
 
 def _operator_signal(entry: object) -> object:

@@ -317,4 +317,5 @@ def options_of(source: Source | None, *, skeletons: bool = False) -> ReadOptions
         rate_hz=source.rate_hz,
         frame_given=source.frame is not None,
         skeletons=skeletons,
+        activities=source.activities,
     )

@@ -18,6 +18,7 @@ from cyclekit import schema
 from cyclekit.adapter import DraftingAdapter, Recording, StreamingAdapter
 from cyclekit.dataset.dataset import CARD
 from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName, command_line
+from cyclekit.ingest.activities import with_activities
 from cyclekit.storage.identify import MODEL_CARD, kind_of_toml
 from cyclekit.storage.prefetch import prefetch
 from cyclekit.storage.safe_path import leads_out
@@ -56,8 +57,7 @@ class Registered:
             BrokenAdapter: The adapter raised another error, or did not return a recording.
         """
         try:
-            for part in self._parts(path, options):
-                yield _proven(part)
+            yield from with_activities(map(_proven, self._parts(path, options)), options.activities, path)
         except CyclekitError:
             raise
         except MemoryError as error:

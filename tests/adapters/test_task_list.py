@@ -11,12 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.adapter import ReadOptions
+from cyclekit.adapter import ReadOptions, is_person
 from cyclekit.errors import CyclekitError, DamagedLog, LogError
 from cyclekit.ingest.registry import adapters
 from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.task_list import ADAPTER
-from cyclekit_adapters.tasks.task_columns import is_person
 
 T0 = 1_690_833_425.25
 SAMPLES = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent")) / "cnr-tasks"

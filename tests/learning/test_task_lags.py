@@ -54,6 +54,29 @@ def test_a_reaction_is_told_from_going_on() -> None:
     assert len(learn_starts(side_by_side(np.random.default_rng(1), 40), "worker")["pack"].need_lags_s) == 0
 
 
+def visits(rng: np.random.Generator, way_s: dict[str, float], executions: int = 30) -> list[Run]:
+    """Return executions of a robot that visits three places, each for 2 s, in any order; a way takes `way_s` of both."""
+    runs = []
+    for number in range(executions):
+        done, t, last = list[DoneTask](), 0.0, ""
+        for place in rng.permutation(["a", "b", "c"]).tolist():
+            t += way_s["".join(sorted(last + place))] * rng.uniform(0.9, 1.1) if last else 0.0
+            done.append(DoneTask(place, t, t + 2.0))
+            t, last = t + 2.0, place
+        runs.append(Run(str(number), {"arm": tuple(done)}, number))
+    return runs
+
+
+def test_the_time_between_two_tasks_belongs_to_the_pair() -> None:
+    far = {"ab": 1.0, "bc": 2.0, "ac": 4.0}
+    model = learn_runs(visits(np.random.default_rng(2), far), {"arm": "robot"}, folds=0)
+    for order, true_s in (("abc", 9.0), ("bac", 11.0), ("acb", 12.0)):
+        rolled = roll_plan(model, [PlannedTask("arm", place) for place in order])
+        assert rolled.duration_s.mean() == pytest.approx(true_s, rel=0.02)
+    alike = learn_starts(visits(np.random.default_rng(2), dict.fromkeys(far, 2.0)), "arm")
+    assert alike["a"].lag_after_s["b"] == pytest.approx(alike["a"].lag_after_s["c"], abs=0.15)
+
+
 def test_lags_that_are_alike_stay_together() -> None:
     runs = side_by_side(np.random.default_rng(1), 40, reaction_s=ON_S)
     starts = learn_starts(runs, "worker")["mount"]

@@ -112,6 +112,7 @@ def test_a_part_comes_a_gap_after_the_one_before_if_there_is_room() -> None:
             after={},
             turns=(),
             lags_s=(0.0,),
+            lag_after_s={},
             parts=card.parts and structs.replace(card.parts, first_s=(7.0,), gap_s=(10.0,), buffer=1),
         )
         for card in model.tasks

@@ -346,7 +346,8 @@ def took_s(model: TaskModelCard, arm: list[str], worker: list[str], begins_s: fl
     """Return the mean time of each task of the arm; its first begins at `begins_s`, the worker's every 7 s."""
     plan = [PlannedTask("arm", task, not_before_s=None if at else begins_s) for at, task in enumerate(arm)]
     plan += [PlannedTask("worker", task, not_before_s=7.0 * at) for at, task in enumerate(worker)]
-    rolled = roll_plan(model, plan, cycles=200)
+    at_once = [structs.replace(one, lags_s=(0.0,), lag_after_s={}) for one in model.tasks]
+    rolled = roll_plan(structs.replace(model, tasks=tuple(at_once)), plan, cycles=200)
     return (rolled.end_s - rolled.start_s).mean(axis=0)[: len(arm)].tolist()
 
 

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from cyclekit.adapter import is_person
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import MOST_FAILED, TASK_LIST, conform
-from cyclekit_adapters.tasks.task_columns import NEEDED, TIMES, is_person
+from cyclekit_adapters.tasks.task_columns import NEEDED, TIMES
 from cyclekit_adapters.tasks.task_times import cleaned, with_seconds
 from cyclekit_adapters.text.text_rows import UNDECODED
 

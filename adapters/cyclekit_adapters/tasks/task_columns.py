@@ -6,7 +6,6 @@ gives any other. `task_cells` interprets the cells.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -63,8 +62,6 @@ NEEDED = ("agent", "task", "start", "end")
 """Fields of every task list; a `duration` may stand for the `end`, and a `transition` for the `start`."""
 TIMES = ("start", "end", "planned_start", "planned_end")
 _TIME_NAMES = frozenset(name for field in (*TIMES, "duration") for name in NAMES[field])
-_PEOPLE = {"human", "operator", "person", "worker", "technician", "werker", "bediener", "mensch", "mitarbeiter"}
-_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 @dataclass(frozen=True)
@@ -170,9 +167,3 @@ def require(path: Path, names: Sequence[str], given: Mapping[str, str]) -> dict[
         cause = f"no column is known for {', '.join(missing)} (it has {', '.join(names[:40])})"
         raise LogError(path, cause, cure=f'Name it in [sources.map] of the cell file: {missing[0]} = "COLUMN"')
     return found
-
-
-def is_person(agent: str) -> bool:
-    """Return whether an agent's name contains a word for a person, such as human, operator, person or worker."""
-    words = (word.lower() for word in _WORDS.findall(agent))
-    return any(word in _PEOPLE or word.removesuffix("s") in _PEOPLE for word in words)

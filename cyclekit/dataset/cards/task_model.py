@@ -126,7 +126,8 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
         parts: The parts that it waits for: the k-th start for the k-th part of the execution.
         turns: Factor on the work at the first, second ... occurrence in one execution.
         own_position: Factor on the work at its own position in its agent's order: first, second ...
-        lags_s: Time from when it might start to its start, in each repetition.
+        lags_s: Time from when it might start to its start, in each repetition, without `lag_after_s`.
+        lag_after_s: Added to it by the agent's previous task, s, such as the way from there; "" = it is the first.
         need_lags_s: The same where a needed task ended last, if clearly different; then `lags_s` is of the others.
     """
 
@@ -151,6 +152,7 @@ class TaskTimesCard(Card, frozen=True, kw_only=True):
     parts: PartsCard | None = None
     lags_s: Annotated[tuple[Lag, ...], Meta(min_length=1, max_length=PAST)]
     need_lags_s: Annotated[tuple[Lag, ...], Meta(max_length=PAST)] = ()
+    lag_after_s: dict[str, Lag] = field(default_factory=dict)
 
     @property
     def waits_for(self) -> list[str]:

@@ -248,6 +248,7 @@ def _task(
         parts=starts.parts,
         lags_s=_kept(starts.lags_s),
         need_lags_s=_kept(starts.need_lags_s),
+        lag_after_s=dict(starts.lag_after_s),
     )
 
 

@@ -143,11 +143,13 @@ def _drawn(plan: PreparedPlan, cycles: int, rng: np.random.Generator) -> tuple[F
     ordered = sorted(range(len(names)), key=lambda each: names[each])
     for number in ordered:
         card, before, turn = plan.cards[number], plan.before[number], plan.turn[number]
-        factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
+        last = "" if before < 0 else plan.cards[before].task
+        factor = card.after.get(last, 1.0)
         for factors, at in ((card.turns, turn), (card.own_position, plan.position[number])):
             factor *= factors[at] if at < len(factors) else 1.0
         work[number] = factor * _evenly(card.work_s, cycles, rng)
-        lag[number] = np.maximum(_evenly(card.lags_s, cycles, rng), least_lag_s(card))
+        own_lag = _evenly(card.lags_s, cycles, rng) + card.lag_after_s.get(last, 0.0)
+        lag[number] = np.maximum(own_lag, least_lag_s(card))
         if plan.joined[number] and plan.mate[number] < number:
             work[number] = 0.0  # one side tells the time of both
     for number in ordered:  # at last, so that a wait that is removed changes no other draw

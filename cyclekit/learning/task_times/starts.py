@@ -49,10 +49,11 @@ MAX_CONDITIONS = 3
 
 
 class _Start(NamedTuple):
-    """One logged start: execution, occurrence of the task in it, and times, s."""
+    """One logged start: execution, occurrence of the task in it, the agent's task before ("" = none), and times, s."""
 
     run: Run
     nth: int
+    before: str
     start_s: float
     own_s: float
     planned_s: float
@@ -67,6 +68,7 @@ class Starts:
         planned: Whether it waits for its planned start.
         lags_s: Lag of each logged start after its conditions, where all are known, s.
         need_lags_s: Those after needed tasks, if they are clearly different; then `lags_s` has the others.
+        lag_after_s: How much longer these are after each task of the agent, s; taken out of them.
         parts: Parts that it waits for.
         needed: For each of `needs` that only some starts need, whether a start needed it, by the number of the
             execution and the occurrence of the task, where that is seen.
@@ -76,6 +78,7 @@ class Starts:
     planned: bool
     lags_s: Vector
     need_lags_s: Vector
+    lag_after_s: Mapping[str, float]
     parts: PartsCard | None = None
     needed: tuple[Mapping[tuple[int, int], bool], ...] = ()
 
@@ -208,12 +211,14 @@ def _barred(given: Sequence[Wait], task: str, known: Collection[str]) -> frozens
 def _waiting(runs: Iterable[Run], agent: str, task: str, barred: frozenset[str]) -> Waiting:
     seen = []
     for run in runs:
-        own_s, nth = 0.0, 0
+        own_s, nth, before = 0.0, 0, ""
         for done in run.tasks.get(agent, ()):
             if done.task == task:
-                seen.append(_Start(run, nth, done.start_s, float(np.fmax(own_s, done.joined_s)), done.planned_s))
+                seen.append(
+                    _Start(run, nth, before, done.start_s, float(np.fmax(own_s, done.joined_s)), done.planned_s)
+                )
                 nth += 1
-            own_s = done.end_s
+            own_s, before = done.end_s, done.task
     times = np.array([[each.start_s, each.own_s, each.planned_s] for each in seen])
     return Waiting(agent, task, seen, times[:, 0], times[:, 1], times[:, 2], [], barred)
 
@@ -280,7 +285,7 @@ def _told(one: Waiting, *, free: bool) -> Starts:
         one: The starts of a task.
         free: Whether it may wait for parts.
     """
-    from cyclekit.learning.task_times.lags import by_cause
+    from cyclekit.learning.task_times.lags import by_cause, by_task_before
     from cyclekit.learning.task_times.unseen_parts import find_unseen_parts
 
     ready, needs, flags = one.ready_s(), [], []
@@ -295,8 +300,12 @@ def _told(one: Waiting, *, free: bool) -> Starts:
     parts, lags_s = find_unseen_parts(one) if free else (None, one.start_s - ready)
     if parts is None and None in one.found:  # where the plan is not logged, a wait for it looks like a lag
         lags_s = np.where(np.isfinite(one.planned_s), lags_s, np.nan)
-    lags_s, need_lags_s = by_cause(one, lags_s)
-    return Starts(tuple(needs), None in one.found, lags_s, need_lags_s, parts, tuple(flags))
+    own, needing = by_cause(one, lags_s)
+    after_s = by_task_before(one, np.where(own, lags_s, np.nan))
+    longer_s = np.array([after_s.get(each.before, 0.0) for each in one.seen])
+    return Starts(
+        tuple(needs), None in one.found, (lags_s - longer_s)[own], lags_s[needing], after_s, parts, tuple(flags)
+    )
 
 
 def _needed(one: Waiting, need: NeedCard) -> dict[tuple[int, int], bool]:

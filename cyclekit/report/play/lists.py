@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 FIELDS = (
     "agent", "task", "usual_s", "rates", "later", "waiting", "nth", "nth_waiting", "position", "position_waiting",
     "at_start", "after", "turns", "own_position",
+    "lag_after_s",
 )  # fmt: skip
 PACES = (0.8, 1.5)
 """Minimum and maximum factor on the speed of an agent."""

@@ -123,10 +123,10 @@ const rolledPlan = (tasks, asked) => {
   if (plan.unknown.length) return { unknown: say("left_out", { tasks: [...new Set(plan.unknown)].join(", ") }) };
   const [count, cycles] = [tasks.length, facts.cycles];
   const draws = drawsOf(plan, tasks);
+  const previous = plan.cards.map((_, n) => (plan.before[n] < 0 ? "" : plan.cards[plan.before[n]].task));
   const factor = plan.cards.map((card, n) => {
-    const previous = plan.before[n] < 0 ? "" : plan.cards[plan.before[n]].task;
     const own = (card.turns[plan.turn[n]] || 1) * (card.own_position[plan.position[n]] || 1);
-    return (previous in card.after ? card.after[previous] : 1) * own / (asked.paces[card.agent] || 1);
+    return (previous[n] in card.after ? card.after[previous[n]] : 1) * own / (asked.paces[card.agent] || 1);
   });
   const start = tasks.map(() => new Float64Array(cycles));
   const end = tasks.map(() => new Float64Array(cycles));
@@ -158,7 +158,8 @@ const rolledPlan = (tasks, asked) => {
       const card = plan.cards[n];
       work[n] = plan.joined[n] && plan.mate[n] < n ? 0 : factor[n] * tables.values[card.first + draws[n][0][cycle]];
       const least_s = card.needs.some((need) => need.after_s) ? -Infinity : 0; // roll.least_lag_s
-      lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]], least_s);
+      const after_s = previous[n] in card.lag_after_s ? card.lag_after_s[previous[n]] : 0;
+      lag[n] = Math.max(tables.values[card.first + card.work + draws[n][1][cycle]] + after_s, least_s);
       needLag[n] = card.need_lags ? Math.max(tables.values[card.first + card.work + card.lags + draws[n].needLag[cycle]], least_s) : lag[n];
       if (plan.parts[n]) gap[n] = tables.values[card.first + card.work + card.lags + card.need_lags + (plan.turn[n] ? card.parts.first : 0) + draws[n][2][cycle]];
       half[n] = work[n] / 2;

@@ -55,7 +55,7 @@ def test_a_reaction_is_told_from_going_on() -> None:
 
 
 def visits(rng: np.random.Generator, way_s: dict[str, float], executions: int = 30) -> list[Run]:
-    """Return executions of a robot that visits three places, each for 2 s, in any order; a way takes `way_s` of both."""
+    """Return executions of a robot that visits three places for 2 s each, in any order; a way takes `way_s` of both."""
     runs = []
     for number in range(executions):
         done, t, last = list[DoneTask](), 0.0, ""

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit_adapters.tasks.task_columns import NAMES, is_person
+from cyclekit.adapter import is_person
+from cyclekit_adapters.tasks.task_columns import NAMES
 from cyclekit_adapters.text.json_parts import json_pieces, parts
 
 if TYPE_CHECKING:

@@ -35,25 +35,6 @@ TABLES = ("robot", "people", "events", "task_list", "safety", "skeletons", "stam
 
 
 @dataclass(frozen=True)
-class Activity:
-    """What an agent does, told by a state that a log of signals holds: `[[sources.activities]]` of the cell file.
-
-    Attributes:
-        column: Signal of the states, such as the step of a sequence chain; or several bits, each a state of its own
-            name. `*` and `?` match any text.
-        agent: Name of the agent.
-        idle: States that are no activity, such as the step in which it waits for the start.
-        cycle: What begins a cycle: a signal that comes on or changes, or one that takes a value (`Step=10`); an idle
-            state begins it when it is left. None: nothing in the log.
-    """
-
-    column: tuple[str, ...]
-    agent: str = "robot"
-    idle: tuple[str, ...] = ()
-    cycle: str | None = None
-
-
-@dataclass(frozen=True)
 class ReadOptions:
     """Settings of one source in the cell file; the defaults suit a self-describing log.
 
@@ -68,7 +49,6 @@ class ReadOptions:
             log itself holds the transform to the robot's base.
         columns: Canonical columns that are needed, in addition to `t_s`; empty = all. An adapter may skip the others
             to save time.
-        activities: States of its signals that are tasks; the registry makes a task list of them, not the adapter.
     """
 
     role: Role | None = None
@@ -79,7 +59,6 @@ class ReadOptions:
     skeletons: bool = False
     frame_given: bool = False
     columns: tuple[str, ...] = ()
-    activities: tuple[Activity, ...] = ()
 
 
 class TimeUnit(NamedTuple):

@@ -8,8 +8,6 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from cyclekit.adapter import Activity
-
 Role = Literal["robot", "people", "events", "tasks"]
 Mover = Literal["people", "program", "hand"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
@@ -59,6 +57,25 @@ class Sync:
 
     robot: str
     other: str
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What an agent does, told by a state that a log of signals holds: `[[sources.activities]]` of the cell file.
+
+    Attributes:
+        column: Signal of the states, such as the step of a sequence chain; or several bits, each a state of its own
+            name. `*` and `?` match any text.
+        agent: Name of the agent.
+        idle: States that are no activity, such as the step in which it waits for the start.
+        cycle: What begins a cycle: a signal that comes on or changes, or one that takes a value (`Step=10`); an idle
+            state begins it when it is left. None: nothing in the log.
+    """
+
+    column: tuple[str, ...]
+    agent: str = "robot"
+    idle: tuple[str, ...] = ()
+    cycle: str | None = None
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from cyclekit.adapter import Activity, Recording
+    from cyclekit.adapter import Recording
+    from cyclekit.config.cells import Activity
     from cyclekit.schema import Vector
 
 WHERE = "[[sources.activities]]"

@@ -110,12 +110,12 @@ class _Parts:
     """Parts of one table of a log, with row counts and warnings."""
 
     def __init__(self, log: Log, options: ReadOptions) -> None:
-        self.path, self._robot = log.path, log.robot
+        self.path, self._robot, self._activities = log.path, log.robot, log.activities
         self._adapter, self._options = adapter_named(log.adapter), options
         self.table, self.rows_read, self.set_aside, self.warnings = "", 0, 0, tuple[str, ...]()
 
     def of(self, table: str | None) -> Iterator[pl.DataFrame]:
-        read = self._adapter.parts(self.path, self._options)
+        read = self._adapter.parts(self.path, self._options, self._activities)
         for part in examined_parts(with_tool_point(read, self._robot)):
             self._note(part)
             tables = part.tables()

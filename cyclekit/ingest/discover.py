@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from cyclekit.adapter import Draft
+    from cyclekit.config.cells import Activity
 
 CELL_FILE = "cell.toml"
 _MAX_ALIKE, _MAX_TRIED = 5, 500
@@ -52,6 +53,11 @@ class Log:
     key: str
     size: int = 0
     robot: Robot | None = None
+
+    @property
+    def activities(self) -> tuple[Activity, ...]:
+        """The states of its signals that are tasks."""
+        return self.source.activities if self.source else ()
 
 
 @dataclass(frozen=True)
@@ -293,7 +299,7 @@ def key_of(log: Log) -> str:
         OSError: A file of the log has gone.
     """
     facts = [str(resolved(log.path)), log.adapter, log.version, repr(options_of(log.source)), schema.SCHEMA_VERSION]
-    facts += [repr(log.robot)] if log.robot else []
+    facts += [repr(each) for each in (log.robot, log.activities) if each]
     if log.source is not None and log.source.role == "robot":
         facts += [repr((log.source.clock_offset_s, log.source.clock_rate))]  # its stored times depend on them
     stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(log.path)]
@@ -317,5 +323,4 @@ def options_of(source: Source | None, *, skeletons: bool = False) -> ReadOptions
         rate_hz=source.rate_hz,
         frame_given=source.frame is not None,
         skeletons=skeletons,
-        activities=source.activities,
     )

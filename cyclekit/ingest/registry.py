@@ -24,10 +24,11 @@ from cyclekit.storage.prefetch import prefetch
 from cyclekit.storage.safe_path import leads_out
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from cyclekit.adapter import Adapter, Draft, ReadOptions
+    from cyclekit.config.cells import Activity
 
 GROUP = "cyclekit.adapters"
 SMALL_BYTES = 1 << 20
@@ -47,17 +48,22 @@ class Registered:
     summary: str
     adapter: Adapter
 
-    def parts(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+    def parts(self, path: Path, options: ReadOptions, activities: Sequence[Activity] = ()) -> Iterator[Recording]:
         """Yield a log in consecutive parts, each read while the previous one is processed, or as one part.
 
         A small file is read without a thread, because starting one takes time and there may be ten thousand files.
+
+        Args:
+            path: The log.
+            options: For its adapter.
+            activities: States of its signals that become a task list.
 
         Raises:
             LogError, ConfigError: As the adapter's `read`.
             BrokenAdapter: The adapter raised another error, or did not return a recording.
         """
         try:
-            yield from with_activities(map(_proven, self._parts(path, options)), options.activities, path)
+            yield from with_activities(map(_proven, self._parts(path, options)), activities, path)
         except CyclekitError:
             raise
         except MemoryError as error:

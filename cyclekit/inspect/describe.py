@@ -109,7 +109,7 @@ def _describe_log(log: Log) -> LogFacts:
     surveys, set_aside, rows_read = dict[str, TableSurvey](), dict[str, int](), 0
     warnings: dict[str, None] = {}
     last, tasks, safety = Recording(), list[pl.DataFrame](), SafetySurvey()
-    read = entry.parts(log.path, options_of(log.source))
+    read = entry.parts(log.path, options_of(log.source), log.activities)
     for part in examined_parts(with_tool_point(read, log.robot)):
         last, rows_read = part, rows_read + part.rows_read
         for name, table in part.tables().items():

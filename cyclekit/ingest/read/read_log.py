@@ -129,7 +129,7 @@ def _read_log(log: Log, digests: Digests, folder: Path, settings: ReadSettings, 
     keep = log.source.sees_as if log.source else None
     nameless = Nameless(keep=keep, words=settings.words) if settings.pseudonymise else None
     try:
-        read = adapter_named(log.adapter).parts(log.path, options)
+        read = adapter_named(log.adapter).parts(log.path, options, log.activities)
         for part in examined_parts(with_tool_point(read, log.robot)):
             part = _on_stated_clock(part, log)
             last = nameless.part(part) if nameless else part

@@ -79,6 +79,7 @@ ROBOT = {
     "the speed in mm/s": ("tcp_speed_m_s", np.linspace(0, 400, 300), True),
     "one garbled speed": ("tcp_speed_m_s", np.array([400.0] + [0.2] * 299), False),
     "one garbled joint": ("q1_rad", np.array([4e5] + [0.2] * 299), False),
+    "garbled joints": ("q1_rad", np.array([1e226, 0.2] * 150), True),
     "one garbled scaling": ("scaling", np.array([50.0] + [1.0] * 299), False),
 }
 
@@ -90,6 +91,7 @@ def test_a_column_in_another_unit_cannot_be_and_a_garbled_row_is_only_said(what:
     found = examined(Recording(robot=pl.DataFrame({**others, name: values})))
     assert bool(found.impossible) is cannot
     assert found.warnings
+    assert ("degrees" in found.warnings[-1]) is (what == "joints in degrees")
 
 
 def test_a_task_list_in_milliseconds_read_as_seconds_cannot_be() -> None:

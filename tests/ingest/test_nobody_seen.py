@@ -1,4 +1,4 @@
-"""Places that trackers write for nobody are found, named, counted and unknown; those of people are kept."""
+"""Places that logs write for an unknown one are found, named, counted and unknown; true ones are kept."""
 
 from __future__ import annotations
 
@@ -47,6 +47,65 @@ def test_a_place_that_stands_for_nobody_is_unknown_counted_and_named(value: floa
     (said,) = found.warnings
     assert said.startswith(f"a person is at exactly {value + 0.0:g} m on every axis in 224 of 480 rows")
     assert found.set_aside is None
+
+
+def robot(values: np.ndarray, names: tuple[str, ...]) -> Recording:
+    """Rows of a robot at 25 Hz, with values (N, len(names))."""
+    columns = dict(zip(names, values.T, strict=True))
+    return Recording(robot=pl.DataFrame({"t_s": np.arange(len(values)) / 25, **columns}), rows_read=len(values))
+
+
+def bursts(rows: int, every: int, length: int) -> np.ndarray:
+    """Return a mask of rows in bursts."""
+    return np.asarray(np.arange(rows) % every >= every - length)
+
+
+TOOL, JOINTS = ("tcp_x_m", "tcp_y_m", "tcp_z_m"), tuple(f"q{i}_rad" for i in range(6))
+
+
+def motion(axes: int) -> np.ndarray:
+    t = np.arange(500)[:, None] / 25
+    return np.asarray(0.6 + 0.2 * np.sin(t + np.arange(axes)))
+
+
+@pytest.mark.parametrize(("names", "value"), [(TOOL, 0.0), (TOOL, -1.0), (TOOL[:2], 0.0), (JOINTS, 0.0)])
+@pytest.mark.parametrize("cuts", [[500], [61, 300, 139]])
+def test_a_robot_that_jumps_to_a_placeholder_in_bursts_is_unknown_there(
+    names: tuple[str, ...], value: float, cuts: list[int]
+):
+    odd, places = bursts(500, 80, 10), motion(len(names))
+    places[odd] = value
+    log, ends = robot(places, names), np.cumsum(cuts)
+    parts = [Recording(robot=log.robot[end - cut : end], rows_read=cut) for cut, end in zip(cuts, ends, strict=True)]
+    found = concat_parts(examined_parts(parts))
+    assert found.robot is not None
+    assert (found.robot[names[0]].is_null().to_numpy() == odd).all()
+    assert found.robot.drop_nulls(names).select(names).to_numpy().tolist() == places[~odd].tolist()
+    told = "all joints jump to exactly 0 in 60 of 500 rows" if names == JOINTS else f"exactly {value:g} m on every axis"
+    assert sum(told in text for text in found.warnings) == 1
+    assert found.set_aside is None
+
+
+def test_a_tool_point_computed_from_joints_of_a_placeholder_is_unknown_too():
+    odd, places = bursts(500, 80, 10), motion(9)
+    places[odd] = [0, 0, 0, 0, 0, 0, -0.8, -0.2, 0.1]
+    found = examined(robot(places, (*JOINTS, *TOOL)))
+    assert found.robot is not None
+    assert (found.robot["tcp_x_m"].is_null().to_numpy() == odd).all()
+    places[odd, 6:] = motion(9)[odd, 6:]  # the tool was logged: only the joints are unknown
+    found = examined(robot(places, (*JOINTS, *TOOL)))
+    assert found.robot is not None
+    assert not found.robot["tcp_x_m"].null_count()
+
+
+@pytest.mark.parametrize("names", [TOOL, JOINTS])
+def test_a_robot_that_moves_to_0_or_rests_there_is_known(names: tuple[str, ...]):
+    there = np.clip(np.abs(np.arange(500) - 250)[:, None] / 200 - 0.25, 0, 1) * np.ones(len(names))
+    assert (there == 0).all(axis=1).sum() > 90
+    for places in (there, np.zeros((500, len(names)))):
+        found = examined(robot(places, names))
+        assert found.robot is not None
+        assert not found.robot[names[0]].null_count()
 
 
 def test_a_tracker_that_only_ever_says_nobody_saw_nobody():

@@ -13,8 +13,9 @@ import polars as pl
 
 from cyclekit.ingest.validate.lost_rows import REPEATED
 from cyclekit.ingest.validate.motion import PERSON, TCP, WRONG_UNIT, Kind, Places
-from cyclekit.ingest.validate.no_person_values import NoPersonValues
+from cyclekit.ingest.validate.placeholders import Placeholders
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
+from cyclekit.schema import is_joint
 from cyclekit.text.numbers import compact, fixed, given
 
 if TYPE_CHECKING:
@@ -31,6 +32,12 @@ FASTEST_S = 5e-5
 """Least time between rows of a robot log, s: no controller logs at 20 kHz."""
 DAY_S = 86_400.0
 _NEAR = 8
+_NOBODY = "a person is at exactly {value} m on every axis in {count} of {rows} rows: no person seen; unknown there"
+_NO_TOOL = "the TCP jumps to exactly {value} m on every axis in {count} of {rows} rows: no position; unknown there"
+_NO_JOINTS = (
+    "all joints jump to exactly 0 in {count} of {rows} rows: no position, or a second publisher; the robot's place is "
+    "unknown there"
+)
 LATEST_S = 1e11
 """Maximum time, s: the year 5138, beyond any clock."""
 
@@ -145,15 +152,18 @@ class RobotChecks(Checks):
     def __init__(self) -> None:
         super().__init__("the robot")
         self._places = Places(TCP)
+        self._unknown = Placeholders(TCP.columns, _NO_TOOL, robot=True), Placeholders((), _NO_JOINTS, robot=True)
         self._fractions = {"scaling": _OutOfRange(), "slider": _OutOfRange()}
         self._speed = _OutOfRange()
-        self._turned: dict[str, int] = {}
-        self._rows = 0
+        self._angles: dict[str, _OutOfRange] = {}
         self._joints = self._tcp = False
 
     def check(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without implausible rows."""
-        frame = scaling_while_playing(self.timed(self.finite(frame)))
+        frame = self.finite(frame)
+        for unknown in self._unknown:
+            frame = unknown.check(frame)
+        frame = scaling_while_playing(self.timed(frame))
         frame = self.without_repeats(frame, repeated(column(frame, "t_s")), "has the time of the row before it")
         bad = stray_times(column(frame, "t_s"))
         frame = self.drop(frame, bad, "its time does not fit between its neighbours")
@@ -165,17 +175,16 @@ class RobotChecks(Checks):
         frame = self._speed.check(frame, "tcp_speed_m_s", speed, (speed > SPEED_M_S) | (speed < 0))
         self._tcp = self._tcp or bool(np.isfinite(column(frame, "tcp_x_m")).any())
         self._joints = self._joints or bool(np.isfinite(column(frame, "q0_rad")).any())
-        here = is_here(frame)
-        self._rows += int(here.sum())
         for name in frame.columns:
-            if name.startswith("q") and name.endswith("_rad"):
-                far = int(((np.abs(column(frame, name)) > ANGLE_RAD) & here).sum())
-                self._turned |= {name: self._turned.get(name, 0) + far} if far else {}
+            if is_joint(name) and name.endswith("_rad"):
+                angle, seen = np.abs(column(frame, name)), self._angles.setdefault(name, _OutOfRange())
+                frame = seen.check(frame, name, angle, angle > ANGLE_RAD)
         return frame
 
     def warnings(self) -> list[str]:
         """Return the warnings, after the last window."""
-        messages = [*super().warnings(), *self._period_warnings()]
+        messages = [*super().warnings(), *(text for one in self._unknown for text in one.warnings())]
+        messages += self._period_warnings()
         still, others = self._places.warnings()
         messages += others
         for name, seen in self._fractions.items():
@@ -187,16 +196,20 @@ class RobotChecks(Checks):
             likely = "likely mm/s" if self._speed.in_another_unit else "garbled"
             top, rows = compact(self._speed.most, 4), self._speed.rows
             messages.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
-        if self._turned:
-            messages.append(self._degrees)
+        messages += self._angle_warnings()
         if self._joints and not self._tcp:
             messages.append(NO_TCP)
         return [*messages, *still]
 
-    @property
-    def _degrees(self) -> str:
-        name = min(self._turned)
-        return f'{name} exceeds {fixed(ANGLE_RAD, 0)} rad: probably degrees; set joint_unit = "deg"'
+    def _angle_warnings(self, *, of_whole_columns: bool = False) -> list[str]:
+        far = {name: seen for name, seen in self._angles.items() if seen.rows}
+        whole = {name: seen for name, seen in far.items() if seen.in_another_unit}
+        if not far or (of_whole_columns and not whole):
+            return []
+        name, seen = min((whole or far).items())
+        turned = seen.most <= np.rad2deg(ANGLE_RAD)
+        likely = 'probably degrees; set joint_unit = "deg"' if whole and turned else "garbled"
+        return [f"{name} reaches {compact(seen.most, 4)} rad in {seen.rows} rows: {likely}; unknown there"]
 
     def impossible(self) -> list[str]:
         """Return those of the warnings that mean that a whole column cannot be as it was read."""
@@ -205,7 +218,7 @@ class RobotChecks(Checks):
             name for name, seen in (*self._fractions.items(), ("tcp_speed_m_s", self._speed)) if seen.in_another_unit
         ]
         off += [text for text in self.warnings() if any(text.startswith(f"{name} reaches") for name in names)]
-        return off + ([self._degrees] if max(self._turned.values(), default=0) > WRONG_UNIT * self._rows else [])
+        return off + self._angle_warnings(of_whole_columns=True)
 
 
 class PeopleChecks(Checks):
@@ -214,7 +227,7 @@ class PeopleChecks(Checks):
     def __init__(self) -> None:
         super().__init__("a person")
         self._places = Places(PERSON)
-        self._no_person = NoPersonValues()
+        self._no_person = Placeholders(PERSON.columns, _NOBODY)
 
     def neighbours(self, frame: pl.DataFrame) -> int:
         """Return the number of rows that include the neighbours of every person present."""

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
 AGREES_M = 0.05
@@ -91,6 +93,13 @@ Sunrise Toolbox, `constDhDataOf14R820.m` (in Craig's convention, from KUKA's man
 the iiwa 7 in the documentation of Exp[licit] are the same."""
 
 
+def model_by_joints(names: Sequence[str]) -> str | None:
+    """Return the model that the names of joints begin with, as in ROS: `fr3_joint1`, `ur10e_elbow_joint`."""
+    words = [set(name.lower().split("_")) for name in names]
+    common = set[str].intersection(*words) if words else set[str]()
+    return next((model for model in MODELS if model.lower().replace(" ", "") in common), None)
+
+
 @dataclass(frozen=True)
 class FittedArm:
     """An arm recognised from the log.
@@ -110,7 +119,7 @@ class FittedArm:
 
     def points(self, joints_rad: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return points and flange rotation as `joint_points` does, in the log's base frame."""
-        return _in_base(self.arm, joints_rad, turned=self.turned)
+        return points_in_base(self.arm, joints_rad, turned=self.turned)
 
 
 def joint_points(arm: Arm, joints_rad: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -166,15 +175,16 @@ def recognise_arm(joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64]) -
     return min(fitted, key=lambda fit: fit.error_m, default=None)
 
 
-def _in_base(
+def points_in_base(
     arm: Arm, joints_rad: NDArray[np.float64], *, turned: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return `joint_points` in the base frame, or with `turned` in the one turned by 180 degrees about z."""
     points, turn = joint_points(arm, joints_rad)
     return (points * _TURNED, turn * _TURNED[:, None]) if turned else (points, turn)
 
 
 def _fits(arm: Arm, joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64], *, turned: bool) -> list[FittedArm]:
-    points, turn = _in_base(arm, joints_rad, turned=turned)
+    points, turn = points_in_base(arm, joints_rad, turned=turned)
     miss = tcp_m - points[:, -1]
     tool = np.einsum("tji,tj->ti", turn, miss).mean(axis=0)
     moved = bool(np.ptp(tcp_m, axis=0).max() > _MOVED_M)

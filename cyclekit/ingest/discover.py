@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from cyclekit import schema
 from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
+from cyclekit.config.arms import model_by_joints
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, CyclekitError, LogError
 from cyclekit.ingest.merge_sources import kind_of, merge_similar
@@ -28,13 +29,15 @@ from cyclekit.storage.safe_path import leads_out, real_path, valid_name
 from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from cyclekit.adapter import Draft
     from cyclekit.config.cells import Activity
 
 CELL_FILE = "cell.toml"
 _MAX_ALIKE, _MAX_TRIED = 5, 500
+_READ_BYTES = 100_000_000
+"""Maximum size of a log that is read for the names of its joints: a second."""
 _OF_USE = {"x", "joints", "scaling", "signal"}
 """Keys of which a draft for a table in a folder must have at least one; otherwise the table is probably no log."""
 
@@ -115,7 +118,27 @@ def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Sugges
         logs = []
     named = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
     sources, drafts_of = merge_similar(list(named.values()), drafts, unread)
-    return Suggested(replace(cell, sources=tuple(sources)), drafts_of)
+    robot = cell.robot or next((Robot(model) for model in map(model_by_joints, _arms(logs, drafts)) if model), None)
+    return Suggested(replace(cell, sources=tuple(sources), robot=robot), drafts_of)
+
+
+def _arms(logs: Sequence[Log], drafts: Mapping[str, tuple[str, Draft]]) -> Iterator[Sequence[str]]:
+    """Yield the names of the joints of logs that hold joint angles without a TCP, of one log of each kind."""
+    for _, draft in drafts.values():
+        keys = {line.key: line.value for line in draft.map if line.sure}
+        if isinstance(joints := keys.get("joints"), list) and "x" not in keys:
+            yield joints
+    for log in {kind_of(log.shown): log for log in reversed(logs) if log.size <= _READ_BYTES}.values():
+        try:
+            part = next(iter(adapter_named(log.adapter).parts(log.path, options_of(log.source))), None)
+        except CyclekitError:  # `ingest` says it
+            continue
+        if (
+            part is not None
+            and part.robot is not None
+            and not schema.conform(part.robot, schema.ROBOT)["tcp_x_m"].count()
+        ):
+            yield part.joint_names
 
 
 def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> tuple[dict[str, tuple[str, Draft]], list[str]]:

@@ -70,6 +70,59 @@ def test_the_frame_in_the_headers_of_the_tcp_is_the_robots_base(tmp_path, bag):
     assert places(read(tmp_path / "run").people).tolist() == [[1.0, 2.0, 4.0]]
     chosen = read(tmp_path / "run", map={"base_frame": "base"})
     assert places(chosen.people).tolist() == [[-8.0, -7.0, -5.0]]
+    assert places(chosen.robot, TCP).tolist() == [[-8.0, -9.0, -9.0]]
+
+
+UR_JOINTS = [f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
+TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
+HALF = (0.0, 0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("has_link", [True, False])
+@pytest.mark.parametrize(("asked", "sign"), [({}, 1.0), ({"base_frame": "base_link"}, -1.0)])
+def test_tcp_and_people_of_a_ur_come_out_in_one_frame(tmp_path, bag, has_link, asked, sign):
+    """The driver logs the TCP in `base`, which is `base_link` turned by pi; cameras are calibrated to `base_link`."""
+    writer = bag(tmp_path / "run", "mcap")
+    if has_link:
+        writer.transform(T0, ("base_link", "base", (0.0, 0.0, 0.0, *HALF)), topic="/tf_static")
+    writer.transform(T0, ("base_link", "camera", (0.0, 0.0, 1.0)), topic="/tf_static")
+    for i in range(3):
+        writer.tcp(T0 + i, x=0.5)
+        writer.joints(T0 + i, UR_JOINTS, [0.1] * 6)
+        poses(writer, T0 + i, (2.0, 1.0, 0.0), "camera")
+    writer.close()
+    log = read(tmp_path / "run", map=asked)
+    assert log.robot["tcp_x_m"].to_list() == pytest.approx([sign * 0.5] * 3)
+    assert places(log.people) == pytest.approx(np.array([[-2.0 * sign, -1.0 * sign, 1.0]] * 3))
+    assert any("half turn" in said for said in log.warnings) != has_link
+
+
+def test_a_base_frame_that_no_transform_connects_with_the_tcp_is_not_used_for_people_alone(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("world", "camera", (0.0, 0.0, 1.0)), topic="/tf_static")
+    writer.tcp(T0, x=0.5)
+    poses(writer, T0, (2.0, 1.0, 0.0), "camera")
+    writer.close()
+    log = read(tmp_path / "run", map={"base_frame": "world"})
+    assert log.facts["base_frame"] == "base"
+    assert any("no transforms from base_frame = 'world'" in said for said in log.warnings)
+
+
+@pytest.mark.parametrize(
+    ("base", "tool"),
+    [("fr3_link0", "fr3_hand_tcp"), ("panda_link0", "panda_link8"), ("iiwa_link_0", "iiwa_link_ee")],
+)
+def test_the_first_link_of_an_arm_is_its_base(tmp_path, bag, base, tool):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("world", base, (5.0, 0.0, 0.0)), ("world", "camera", (0.0, 0.0, 1.0)), topic="/tf_static")
+    for i in range(3):
+        writer.transform(T0 + i, (base, tool, (0.5, 0.1 * i, 0.3)))
+        poses(writer, T0 + i, (2.0, 1.0, 0.0), "camera")
+    writer.close()
+    log = read(tmp_path / "run")
+    assert log.facts["base_frame"] == base
+    assert places(log.robot, TCP) == pytest.approx(np.array([[0.5, 0.1 * i, 0.3] for i in range(3)]))
+    assert places(log.people).tolist() == [[-3.0, 1.0, 1.0]] * 3
 
 
 def test_where_the_cell_file_says_where_the_frame_stands_the_people_stay_in_it(tmp_path, bag):

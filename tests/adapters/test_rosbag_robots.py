@@ -1,5 +1,8 @@
+import tomllib
+
 import pytest
 
+from cyclekit import draft_cell
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
 from cyclekit.ingest.validate.validate import examined_parts
@@ -165,3 +168,19 @@ def test_the_fingers_of_a_gripper_are_no_joints_of_the_arm_and_a_missing_tcp_is_
     assert log.robot["q0_rad"].max() == pytest.approx(0.3)  # the order is that of the message
     assert any("panda_finger_joint2" in said and "left out" in said for said in log.warnings)
     assert any("no TCP" in said for said in log.warnings)
+
+
+@pytest.mark.parametrize(
+    ("joint", "count", "model"), [("fr3_joint{}", 7, "FR3"), ("panda_joint{}", 7, "Panda"), ("joint_{}", 6, None)]
+)
+def test_the_names_of_joints_draft_the_arm_of_a_log_without_a_tcp(tmp_path, bag, joint, count, model):
+    names = [joint.format(1 + axis) for axis in range(count)]
+    writer = bag(tmp_path / "run", "mcap")
+    for i in range(3):
+        writer.joints(1_700_000_000.0 + i, names, [0.1 * i] * count)
+    writer.close()
+    rows = [",".join([f"{0.01 * i:.2f}", *[f"{0.01 * i + 0.3:.4f}"] * count]) for i in range(60)]
+    (tmp_path / "arm.csv").write_text("\n".join([",".join(["t_s", *names]), *rows, ""]))
+    for log in (tmp_path / "run", tmp_path / "arm.csv"):
+        robot = tomllib.loads(draft_cell(log).cell).get("robot", {})
+        assert robot.get("model") == model

@@ -120,6 +120,17 @@ def test_parameters_and_a_tool_of_the_cell_file_are_used_and_another_number_of_j
     assert "6 joints and the log holds 2" in other.warnings[0]
 
 
+@pytest.mark.parametrize(("frame", "sign"), [("base", 1.0), ("base_link", -1.0)])
+def test_the_tcp_of_a_ur_is_computed_in_the_base_frame_of_its_log(frame: str, sign: float):
+    """People of a bag are in `base_link` if their transforms lead there: the arm's own base, turned by pi."""
+    angles = np.full((1, 6), 0.3)
+    table = pl.DataFrame({"t_s": [0.0], **{f"q{axis}_rad": angles[:, axis] for axis in range(6)}})
+    (part,) = with_tool_point([Recording(robot=table, facts={"base_frame": frame})], Robot("UR5e"))
+    points, _ = joint_points(MODELS["UR5e"], angles)
+    assert part.robot is not None
+    assert part.robot.select(TCP).row(0) == pytest.approx(points[0, -1] * [sign, sign, 1.0])
+
+
 def test_the_robot_of_a_cell_file_is_read_written_and_checked(tmp_path: Path):
     path = tmp_path / "cell.toml"
     for robot in (Robot("iiwa 7", (), (0.0, 0.0, 0.1)), Robot(None, ((0.3, 0.0, -90.0, 0.0),))):

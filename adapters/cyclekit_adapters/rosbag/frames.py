@@ -1,8 +1,9 @@
 """Frame of the people, and its transform to the robot's base.
 
 The robot's base is the frame given in the cell file, else the one in the headers of the TCP pose, else the start of the
-transforms to the tool. If the bag holds transforms from there to the frame of the people, their positions are
-transformed to the base. If not, or if the cell file gives the pose of the log's frame, they stay in their frame.
+transforms to the tool. TCP poses in another frame are transformed to it, if transforms lead there; if none do, their
+frame is the base. If the bag holds transforms from there to the frame of the people, their positions are transformed to
+the base. If not, or if the cell file gives the pose of the log's frame, they stay in their frame.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ import numpy as np
 from cyclekit_adapters.rosbag.chain import transformed
 from cyclekit_adapters.rosbag.joints import of_human
 from cyclekit_adapters.rosbag.people import Persons
-from cyclekit_adapters.rosbag.transforms import BASES, Array, is_named
+from cyclekit_adapters.rosbag.tracks import JointStates
+from cyclekit_adapters.rosbag.transforms import BASES, Array, FrameTransforms, is_named
 
 if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.roles import Roles
     from cyclekit_adapters.rosbag.tracks import Contents
-    from cyclekit_adapters.rosbag.transforms import FrameTransforms, Link
+    from cyclekit_adapters.rosbag.transforms import Link
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class Frames:
     Attributes:
         base: The robot's base frame; empty if unknown.
         tool: Links from base to tool, if no topic holds the TCP.
+        tcp: Links from base to the frame of the topic that holds the TCP, if that is another.
         ambiguous: Tool frames, if the transforms lead to several arms equally.
         people: Links from the base to each other frame of people.
         unconnected: Frames of people without a connection to the base.
@@ -60,6 +63,7 @@ class Frames:
 
     base: str = ""
     tool: list[Link] = field(default_factory=list)
+    tcp: list[Link] = field(default_factory=list)
     ambiguous: list[str] = field(default_factory=list)
     people: dict[str, list[Link]] = field(default_factory=dict)
     unconnected: set[str] = field(default_factory=set)
@@ -68,7 +72,7 @@ class Frames:
 
     def links(self) -> list[FrameTransforms]:
         """Return all moving links, each once."""
-        chains = [self.tool, *self.people.values(), *(body.chain for body in self.bodies)]
+        chains = [self.tool, self.tcp, *self.people.values(), *(body.chain for body in self.bodies)]
         found = {id(link.transforms): link.transforms for chain in chains for link in chain}
         own = {id(body.link) for body in self.bodies}
         return [link for key, link in found.items() if key in own or not link.is_still()]
@@ -92,7 +96,15 @@ def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_give
     if roles.tcp not in contents.tracks and (found := tree.tool_chain(roles.base_frame, roles.tool_frame)):
         frames.base, frames.tool, others = found
         frames.ambiguous = sorted([frames.tool[-1].transforms.child, *others]) if others else []
-    frames.base = (roles.base_frame or contents.frame_of(roles.tcp) or frames.base).strip("/")
+    own = contents.frame_of(roles.tcp).strip("/")
+    frames.base = (roles.base_frame or own or frames.base).strip("/")
+    _connect_bases(contents, roles, {own, frames.base})
+    if own and own != frames.base:
+        if (to_tcp := tree.chain(frames.base, own)) is None:
+            seen = f"no transforms from base_frame = {frames.base!r} to the frame of the TCP, {own!r}"
+            contents.warnings.append(f"{seen}: {own!r} is the base of all positions")
+            frames.base = own
+        frames.tcp = to_tcp or []
     seen = sorted(set(_people_frames(contents, roles)))
     candidates = [frames.base] if frames.base else tree.bases(None)
     for frame in seen:
@@ -110,6 +122,25 @@ def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_give
         _add_bodies(contents, frames, candidates, skeletons=skeletons, frame_given=frame_given)
     contents.warnings += _warnings(contents, frames)
     return frames
+
+
+def _connect_bases(contents: Contents, roles: Roles, named: set[str]) -> None:
+    """Add the transform between the two base frames of a UR if the bag lacks it: `base_link` is `base` turned by pi.
+
+    So says the page "Robot Frames" of Universal Robots' ROS description; `base` is that of the controller.
+    """
+    tree, (base, turned) = contents.transforms, BASES[:2]
+    parts = contents.tracks[str(roles.joints)].parts if roles.joints in contents.tracks else []
+    is_ur = any("shoulder_pan_joint" in part.value.names for part in parts if isinstance(part.value, JointStates))
+    if is_ur and {base, turned} <= {*named, *tree.frames()} and tree.chain(base, turned) is None:
+        half_turn = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]])
+        if base not in tree.links:
+            tree.links[base] = FrameTransforms(turned, base, pose=half_turn, times=np.zeros(1))
+        else:
+            tree.links.setdefault(turned, FrameTransforms(base, turned, pose=half_turn, times=np.zeros(1)))
+        contents.warnings.append(
+            f"no transforms between {base!r} and {turned!r}: taken as a half turn about z, as on a UR"
+        )
 
 
 def _people_frames(contents: Contents, roles: Roles) -> Iterator[str]:
@@ -141,7 +172,7 @@ def _warnings(contents: Contents, frames: Frames) -> Iterator[str]:
         names = ", ".join(repr(name) for name in sorted(frames.unconnected))
         of = f"the robot's base ({frames.base!r})" if frames.base else "the robot's base"
         yield f"no transforms from {of} to the people: they are in frame {names}; give frame in cell.toml"
-    used = {link.transforms.child for chain in (frames.tool, *frames.people.values()) for link in chain}
+    used = {link.transforms.child for chain in (frames.tool, frames.tcp, *frames.people.values()) for link in chain}
     used |= {link.transforms.child for body in frames.bodies for link in body.chain}
     for child in sorted(used & set(contents.transforms.several_parents)):
         taken = contents.transforms.links[child].parent

@@ -80,7 +80,7 @@ class Roles:
         """Return all topics in use."""
         single = [topic for topic in (self.tcp, self.joints, self.running, self.inputs) if topic]
         factors = [factor.topic for factor in self.scaling]
-        transforms = self.transforms if self.bodies or self.people or not self.tcp else ()
+        transforms = self.transforms if self.bodies or self.people or self.base_frame or not self.tcp else ()
         return {*single, *transforms, *factors, *self.people, *self.events, *self.modes, *self.clocks}
 
 

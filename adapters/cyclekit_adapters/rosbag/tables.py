@@ -18,7 +18,7 @@ import polars as pl
 
 from cyclekit.schema import EVENTS, ROBOT, conform, joints_from_base
 from cyclekit.text.numbers import given
-from cyclekit_adapters.rosbag.chain import pose_along, reference_link
+from cyclekit_adapters.rosbag.chain import pose_along, reference_link, transformed
 from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.frames import unknown
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, RUNNING
@@ -88,7 +88,8 @@ def _tcp(contents: Contents, roles: Roles, frames: Frames) -> _Rows | None:
         topic = str(roles.tcp)
         track = contents.tracks[topic]
         contents.rows_of["robot"] = topic
-        return _placed(contents.at(topic), track.index, track.joined())
+        place = transformed(frames.tcp, contents.at(topic), track.joined()) if frames.tcp else track.joined()
+        return _placed(contents.at(topic), track.index, place)
     if not frames.tool:
         return None
     link = reference_link(frames.tool)

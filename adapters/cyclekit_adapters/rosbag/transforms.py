@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.payloads import Ints
 
 Array = npt.NDArray[np.float64]
-TOOLS = ("tool0_controller", "tool0", "tcp", "flange", "ee_link")
-BASES = ("base", "base_link")
+TOOLS = ("tool0_controller", "tool0", "tcp", "flange", "ee_link", "link_ee", "link8")
+BASES = ("base", "base_link", "link0", "link_0")
+"""Base frames, those of a UR first; Franka's is `fr3_link0`, KUKA's `iiwa_link_0`. Franka's flange is `fr3_link8`."""
+_UNDERSCORED = {*TOOLS, *BASES[2:]}
 
 
 @dataclass
@@ -133,7 +135,7 @@ class Transforms:
         """Return base frame, chain from base to tool, and tools of other arms; None if there is no chain.
 
         Args:
-            base: Base frame; by default the one with the tool's prefix, then `base`, then `base_link`.
+            base: Base frame; by default the one with the tool's prefix, then the first of `BASES`.
             tool: Tool frame; by default the first known name, with any prefix.
         """
         for name in [tool] if tool else TOOLS:
@@ -184,5 +186,5 @@ def _plain(frame: str) -> str:
 
 
 def is_named(frame: str, name: str) -> bool:
-    """Return whether a frame has a name, with any prefix; for a base only a prefix that ends in a slash."""
-    return frame == name or frame.endswith(f"/{name}") or (name not in BASES and frame.endswith(f"_{name}"))
+    """Return whether a frame has a name, with any prefix; for `base` only a prefix that ends in a slash."""
+    return frame == name or frame.endswith(f"/{name}") or (name in _UNDERSCORED and frame.endswith(f"_{name}"))

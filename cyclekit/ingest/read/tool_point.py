@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.config.arms import MODELS, Arm, ArmLink, joint_points
+from cyclekit.config.arms import ARMS, MODELS, Arm, ArmLink, points_in_base
 from cyclekit.schema import is_joint, joints_from_base
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ def _computed(part: Recording, robot: Robot) -> Recording:
         return replace(part, warnings=(*part.warnings, warning))
     order = joints_from_base(part.joint_names) if len(part.joint_names) == len(names) else range(len(names))
     angles = np.column_stack([frame[names[i]].cast(pl.Float64).to_numpy() for i in order])
-    points, turn = joint_points(arm, angles)
+    turned = arm in ARMS and part.facts.get("base_frame", "").rpartition("/")[2] == "base_link"  # as a UR's in ROS
+    points, turn = points_in_base(arm, angles, turned=turned)
     tcp = points[:, -1] + turn @ np.asarray(robot.tool_m)
     columns = [pl.Series(name, tcp[:, axis], nan_to_null=True) for axis, name in enumerate(TCP)]
     at = "the flange" if robot.tool_m == (0.0, 0.0, 0.0) else "the tool of the cell file"

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
+from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats import ur_rtde
 from cyclekit_adapters.formats.mapped_csv import ADAPTER
 from cyclekit_adapters.text.list_cells import ListCells
@@ -50,6 +51,27 @@ def test_one_entry_takes_many_columns_in_the_order_of_the_header(tmp_path, joint
     log = read(tmp_path / "log.csv", "t,joint_1,joint_2,joint_3\n0,1,2,3\n", time="t", joints=joints)
     assert log.robot.select("q0_rad", "q1_rad", "q2_rad").rows() == [(1, 2, 3)]
     assert log.joint_names == ("joint_1", "joint_2", "joint_3")
+
+
+def test_a_column_of_lists_named_as_joints_stands_for_all_its_numbers(tmp_path):
+    text = 't;actual_q;pose\n0;"[1, 2, 3]";"[4, 5, 6]"\n1;"[2, 3, 4]";"[5, 6, 7]"\n'
+    log = read(tmp_path / "log.csv", text, time="t", joints=["actual_q"], x="pose[0]", y="pose[1]")
+    assert log.robot.select("q0_rad", "q1_rad", "q2_rad", "tcp_x_m").rows() == [(1, 2, 3, 4), (2, 3, 4, 5)]
+    with pytest.raises(ConfigError, match="x = 'pose', but that column holds lists of 3 numbers"):
+        read(tmp_path / "log.csv", text, time="t", x="pose", y="pose[1]")
+
+
+def test_written_times_need_no_unit_and_no_format_where_only_one_is_possible(tmp_path):
+    rows = "".join(f"2024-05-14 06:30:{2 * i:02},{0.1 * i},0\n" for i in range(20))
+    log = read(tmp_path / "log.csv", f"t,x,y\n{rows}", time="t", x="x", y="y")
+    assert log.robot["t_s"][-1] - log.robot["t_s"][0] == 38.0
+    assert not any("time_unit" in said for said in examined(log).warnings)
+    with pytest.raises(LogError, match="are written") as refusal:
+        read(tmp_path / "log.csv", f"t,x,y\n{rows}", time="t", time_unit="s", x="x", y="y")
+    assert 'time_format = "iso"' in refusal.value.cure
+    with pytest.raises(LogError, match="are written") as refusal:
+        read(tmp_path / "log.csv", "t,x,y\n01/02/2024 10:00:00,1,2\n", time="t", x="x", y="y")
+    assert "%m/%d/%Y" in refusal.value.cure
 
 
 def test_brackets_in_names_are_no_pattern(tmp_path):

@@ -175,11 +175,6 @@ def test_a_header_and_no_rows_is_refused(tmp_path):
         read(tmp_path / "log.csv", "\ufefft,x,y\n", role="people", time="t", x="x", y="y")
 
 
-def test_a_time_written_as_a_date_is_refused_with_its_first_value(tmp_path):
-    with pytest.raises(DamagedLog, match="'2024-05-01 10:00:00' in column 't' is not a number"):
-        read(tmp_path / "log.csv", "t,x,y\n2024-05-01 10:00:00,1,2\n", role="people", time="t", x="x", y="y")
-
-
 def test_a_repeated_instant_of_the_robot_counts_once(tmp_path):
     log = examined(read(tmp_path / "log.csv", "t,x,y\n1,0,0\n1,0,0\n2,1,0\n", role="robot", time="t", x="x", y="y"))
     assert log.robot["t_s"].to_list() == [1.0, 2.0]

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from ingested import ROUND_TRIP, without_checksums
 
-from cyclekit.adapter import Recording
+from cyclekit.adapter import Recording, TimeUnit
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.trace import trace
 from cyclekit.errors import CyclekitError, DatasetError
@@ -167,8 +167,11 @@ def test_executions_that_each_count_from_zero_do_not_overlap() -> None:
 
 def test_tasks_of_days_are_named_as_a_slip_of_units() -> None:
     table = pl.DataFrame({"agent_name": ["r"], "t_s": [0.0], "end_s": [200_000.0]})
-    (said,) = examined(Recording(task_list=conform(table, TASK_LIST))).warnings
+    listed = conform(table, TASK_LIST)
+    (said,) = examined(Recording(task_list=listed, time_units=(TimeUnit("s", 1.0),))).warnings
     assert said == "half of the tasks take 200000 s: check the unit of time and give time_unit"
+    (said,) = examined(Recording(task_list=listed)).warnings  # written dates have no other unit
+    assert said == "half of the tasks take 200000 s: check which columns are start and end"
 
 
 def test_beside_a_robot_log_the_operators_tasks_are_put_into_its_executions(tmp_path: Path, robot_log) -> None:

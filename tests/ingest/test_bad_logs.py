@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from cyclekit.adapter import Recording
+from cyclekit.adapter import Recording, TimeUnit
 from cyclekit.cli import run
 from cyclekit.config import Cell, Source
 from cyclekit.dataset.dataset import Dataset
@@ -97,7 +97,7 @@ def test_a_column_in_another_unit_cannot_be_and_a_garbled_row_is_only_said(what:
 def test_a_task_list_in_milliseconds_read_as_seconds_cannot_be() -> None:
     rows = {"t_s": np.arange(9) * 1e6, "end_s": np.arange(9) * 1e6 + 9e5, "agent_name": "arm", "execution": "1"}
     listed = {**rows, "agent": "robot", "task": "pick"}
-    (text,) = examined(Recording(task_list=pl.DataFrame(listed))).impossible
+    (text,) = examined(Recording(task_list=pl.DataFrame(listed), time_units=(TimeUnit("s", 1.0),))).impossible
     assert "give time_unit" in text
 
 

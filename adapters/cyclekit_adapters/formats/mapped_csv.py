@@ -82,6 +82,7 @@ class _MappedCsv:
             raise MissingColumns(path, ["time"], names, f"{self._may_be(path)}{cure}")
         cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(names)}
         times = mapped_times(path, mapping, cells, options.rate_hz)
+        columns = replace(columns, mapping=replace(mapping, time_format=times.pattern or None))
         clock = cast("ClockKind", mapping.clock or times.clock(mapping.time_zone))
         restarts, seen, back = ClockRestarts(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
         events, hour = StateChanges(mapping.names), LocalClock(mapping.time_zone, times.pattern)

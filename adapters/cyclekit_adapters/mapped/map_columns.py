@@ -2,7 +2,8 @@
 
 An entry is `tcp_x`; `#3`, the third column, for repeated or meaningless names; or `pose[0]`, the first number of the
 lists in column `pose`. A key of several columns also accepts `joint_*`, `#2..#7` and `pose[*]`. A literal match with
-the header takes precedence over a pattern. `csv_map` defines the keys.
+the header takes precedence over a pattern. A column of lists that is named as `joints` stands for all their numbers.
+`csv_map` defines the keys.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ ONE = (
     "quality",
 )
 """Keys that take one column."""
+_OF_NUMBERS = {"x", "y", "z", "confidence", "slider", "speed", "digital_in", "digital_out", "register"}
 SEVERAL = ("time", "scaling", "joints", "signal", "tags")
 """Keys that take one or several columns."""
 _NUMBER = re.compile(r"#([1-9]\d{0,5})")
@@ -81,7 +83,8 @@ def columns_of(path: Path, mapping: CsvMap, names: Sequence[str], widths: Mappin
         if (entry := getattr(mapping, key)) is not None:
             found[key] = finder.one(key, entry)
     for key in SEVERAL:
-        found[key] = tuple(dict.fromkeys(name for entry in getattr(mapping, key) for name in finder.many(entry)))
+        several = (name for entry in getattr(mapping, key) for name in finder.many(entry, whole=key == "joints"))
+        found[key] = tuple(dict.fromkeys(several))
     return Columns(replace(mapping, **found), tuple(finder.names), finder.lists)  # type: ignore[arg-type]  # by key
 
 
@@ -115,12 +118,22 @@ class _Finder:
         if len(names) > 1:
             shown = ", ".join(names[:6])
             raise ConfigError(f"{WHERE}: {key} = {entry!r} means several columns ({shown})", cure="Name one of them.")
+        if names[0] in self.widths and key in _OF_NUMBERS:
+            seen = f"{WHERE}: {key} = {entry!r}, but that column holds lists of {self.widths[names[0]]} numbers"
+            raise ConfigError(seen, cure=f'Name one of them: {key} = "{names[0]}[0]", counted from 0.')
         return names[0]
 
-    def many(self, entry: str) -> list[str]:
+    def many(self, entry: str, *, whole: bool = False) -> list[str]:
+        """Return the columns that an entry matches; with `whole`, of a column of lists all their numbers."""
         element = None if entry in self._header else _ELEMENT.fullmatch(entry)
         if element is None:
-            return [self._named(entry, place) for place in _meant(entry, self._header)] or [entry]
+            found = [self._named(entry, place) for place in _meant(entry, self._header)] or [entry]
+            widths = [self.widths.get(column, 0) if whole else 0 for column in found]
+            lists = (
+                [self._element(column, place) for place in range(width)] or [column]
+                for column, width in zip(found, widths, strict=True)
+            )
+            return [name for names in lists for name in names]
         if len(places := _meant(element[1], self._header)) != 1:
             return [entry]
         column = self._named(element[1], places[0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
@@ -40,15 +41,16 @@ def mapped_times(path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]]
     Raises:
         LogError: The first rows contradict the unit, or none is given and they leave several.
     """
-    if mapping.time_format is not None:
-        first = [" ".join(row).strip() for row in zip(*(cells.get(name, ()) for name in mapping.time), strict=False)]
-        written = [text for text in first if ":" in text]
-        zoned = "%z" in mapping.time_format or "%+" in mapping.time_format or "%:z" in mapping.time_format
-        zoned = zoned or (mapping.time_format == "iso" and 2 * sum(map(names_zone, written)) > len(written))
-        why = f"written as {mapping.time_format!r}"
-        return TimeColumn(mapping.time, mapping.time_format, why=why, zoned=zoned)
     if not mapping.time:
         return TimeColumn((), why="row number / rate_hz")
+    form = mapping.time_format
+    if form is None and not np.isfinite(_numbers(cells.get(mapping.time[0], ()), mapping)).any():
+        form = _only_form(path, mapping, _written(mapping, cells))
+    if form is not None:
+        written = [text for text in _written(mapping, cells) if ":" in text]
+        zoned = "%z" in form or "%+" in form or "%:z" in form
+        zoned = zoned or (form == "iso" and 2 * sum(map(names_zone, written)) > len(written))
+        return TimeColumn(mapping.time, form, why=f"written as {form!r}", zoned=zoned)
     if FRAME in mapping.time_unit:
         return TimeColumn(
             mapping.time, "", (Unit(FRAME, 1.0 / (rate_hz or 1.0)),), f"frames at {compact(rate_hz, 6)} Hz"
@@ -61,6 +63,26 @@ def mapped_times(path: Path, mapping: CsvMap, cells: Mapping[str, Sequence[str]]
         units = (units[0].since_1970(), *units[1:])
     stated = units if len(units) == 1 and why.endswith((FROM_CELL, DEFAULT)) else ()
     return TimeColumn(mapping.time, "", units, why, may_be=stated)
+
+
+def _written(mapping: CsvMap, cells: Mapping[str, Sequence[str]]) -> list[str]:
+    return [" ".join(row).strip() for row in zip(*(cells.get(name, ()) for name in mapping.time), strict=False)]
+
+
+def _only_form(path: Path, mapping: CsvMap, sample: Sequence[str]) -> str | None:
+    """Return the form of times that are text, although the map gives none; None if the first rows hold no times.
+
+    Raises:
+        LogError: They may have several forms, or the map gives their unit.
+    """
+    forms = forms_of([text for text in sample if text])
+    if forms and (len(forms) > 1 or mapping.time_unit):
+        cause = (
+            f"the times of column {mapping.time[0]!r} are written ({sample[0][:40]!r}), and the map does not say how"
+        )
+        how = " or ".join(f'time_format = "{form}"' for form in forms[:3])
+        raise LogError(path, cause, cure=f"Give {how}, and no time_unit, in [sources.map].")
+    return forms[0] if forms else None
 
 
 def _of_one(

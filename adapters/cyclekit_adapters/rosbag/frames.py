@@ -101,8 +101,8 @@ def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_give
     _connect_bases(contents, roles, {own, frames.base})
     if own and own != frames.base:
         if (to_tcp := tree.chain(frames.base, own)) is None:
-            seen = f"no transforms from base_frame = {frames.base!r} to the frame of the TCP, {own!r}"
-            contents.warnings.append(f"{seen}: {own!r} is the base of all positions")
+            none = f"no transforms from base_frame = {frames.base!r} to the frame of the TCP, {own!r}"
+            contents.warnings.append(f"{none}: {own!r} is the base of all positions")
             frames.base = own
         frames.tcp = to_tcp or []
     seen = sorted(set(_people_frames(contents, roles)))

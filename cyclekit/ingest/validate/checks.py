@@ -43,10 +43,15 @@ LATEST_S = 1e11
 
 
 class Checks:
-    """Checks common to all tables: rows set aside, non-finite numbers, time."""
+    """Checks common to all tables: rows set aside, non-finite numbers, time.
+
+    Attributes:
+        whose: Whose rows they are.
+        unit_shown: Whether the log shows the unit of its times, such as written dates do; else it may be another.
+    """
 
     def __init__(self, whose: str) -> None:
-        self.whose = whose
+        self.whose, self.unit_shown = whose, False
         self._aside: list[pl.DataFrame] = []
         self._not_finite: dict[str, int] = {}
         self._ahead, self._furthest_s = 0, 0.0
@@ -133,9 +138,11 @@ class Checks:
         period = self._period_s
         if period is not None and period > 1.5:
             unit = "probably milliseconds read as seconds; give time_unit"
-            return [f"robot rows lie {compact(period, 3)} s apart: {unit}"]
+            said = "too far apart for its standstills; log it more often" if self.unit_shown else unit
+            return [f"robot rows lie {compact(period, 3)} s apart: {said}"]
         if period is not None and period < FASTEST_S:
-            return [f"robot rows lie {compact(period, 3)} s apart: check the unit of time and give time_unit"]
+            said = "check the clock" if self.unit_shown else "check the unit of time and give time_unit"
+            return [f"robot rows lie {compact(period, 3)} s apart: {said}"]
         return []
 
 
@@ -298,6 +305,7 @@ def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
 def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:
     """Set aside positions out of reach and single implausible jumps."""
     kind: Kind = places.kind
+    places.unit_shown = checks.unit_shown
     times, xyz = column(frame, "t_s"), positions(frame, kind)
     beyond = places.out_of_reach(xyz, is_here(frame))
     reason = f"{kind.whose} more than {fixed(kind.reach_m, 0)} m away: implausible position"

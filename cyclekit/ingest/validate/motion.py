@@ -57,7 +57,7 @@ class Places:
     """Position checks of one table, window after window."""
 
     def __init__(self, kind: Kind) -> None:
-        self.kind = kind
+        self.kind, self.unit_shown = kind, False
         self._scale_off: bool | None = None  # True if most of the first positions are out of reach: another unit
         self._far_rows, self._far_m = 0, 0.0
         self._usual_s: float | None = None
@@ -160,9 +160,10 @@ class Places:
                 'set length_unit = "mm", or correct the unit in the export'
             )
         if self._too_fast > WRONG_UNIT * self._ways and not self._far_rows:
+            unit = "of length; give length_unit" if self.unit_shown else "of time; give time_unit, or length_unit"
             found.append(
                 f"{kind.whose} moves at {fixed(float(np.median(self._speeds_m_s)), 1)} m/s, which none does (at most "
-                f"{fixed(kind.speed_m_s, 0)}): probably another unit of time; give time_unit, or length_unit"
+                f"{fixed(kind.speed_m_s, 0)}): probably another unit {unit}"
             )
         if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
             found.append(

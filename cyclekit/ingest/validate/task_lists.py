@@ -58,7 +58,8 @@ class TaskChecks(Checks):
             return []
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
-            return [f"half of the tasks take {compact(median_s, 3)} s: check the unit of time and give time_unit"]
+            said = "which columns are start and end" if self.unit_shown else "the unit of time and give time_unit"
+            return [f"half of the tasks take {compact(median_s, 3)} s: check {said}"]
         return []
 
     def _overlap_warnings(self, agents: pl.DataFrame) -> list[str]:

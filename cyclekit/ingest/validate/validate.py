@@ -64,6 +64,7 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
         for name, check in checks.items():
             table = part.tables().get(name)
             if table is not None:
+                check.unit_shown = not part.time_units
                 window = sliding[name].with_neighbours(_numbered(table), last=after is None)
                 window = check.check(window)
                 tables[name], dropped = kept_rows(window), check.take_set_aside()

@@ -151,7 +151,8 @@ class Asked:
         if jobs is not None:
             planned = cast("OrderPlan | None", _searched(partial(self._planned, jobs), refused, needed=not given))
         wanted = _with_order(given, planned)
-        if wanted and estimates is None:
+        known = {one.name for one in (*(estimates or ()), *(estimates.refused if estimates else ()))}
+        if any(each.name not in known for each in wanted):
             estimates = self._estimated(wanted)
         check = estimates.check if estimates else None
         refused = [*(estimates.refused if estimates else ()), *refused]

@@ -115,7 +115,7 @@ def write_report(
         extrapolate: Answer even if most of the cycle is outside logged positions.
         other_cell: Accept a model of another cell.
         play: Let the reader of the HTML page try other orders, thresholds, recovery rates and visits per hour.
-        estimates: Earlier estimates of `sequences`, which are then not computed again.
+        estimates: Earlier estimates of `sequences`, which are then not computed again, unless an order is found.
         evaluation: An earlier evaluation of the model.
         progress: Called with the fraction done and a text.
 

@@ -1,4 +1,4 @@
-"""`cyclekit demo`: runs all steps on a simulated cell, from logs to the cycle times of three sequences.
+"""`cyclekit demo`: runs all steps on a simulated cell, from logs to a report of sequences, an order and changes.
 
 Each step calls the library function of the command of the same name. Repeated runs overwrite the folder with the same
 numbers.
@@ -20,7 +20,7 @@ from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Qu
 from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 from cyclekit.cli.train import summary
 from cyclekit.errors import command_line
-from cyclekit.text.numbers import duration, fixed, interval
+from cyclekit.text.numbers import duration, fixed, given, interval
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,6 +44,25 @@ SEQUENCES = {
 }
 """Ten boxes each, from the conveyor to the slots in this order; none of these orders occurs in the logs."""
 
+TAKT_S = 100.0
+"""Takt time of the demo, s: most logged cycles are within it."""
+JOBS = f"""# Written by cyclekit demo: the same ten boxes, in the order that takes the least time
+start = "home"
+end = "home"
+via = "conveyor"
+visit = [{", ".join(f'"{slot}"' for slot in (*_LEFT, *_RIGHT))}]
+"""
+CHANGES = """# Written by cyclekit demo: what would help?
+[[change]]
+name = "zones 0.2 m tighter"
+levels = [0.0, 0.25, 0.5, 0.75, 1.0]
+thresholds_m = [1.0, 1.3, 1.7, 2.2]
+
+[[change]]
+name = "half as many visits"
+frequency = 0.5
+"""
+
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything that the demo makes.")] = Path("out"),
@@ -57,8 +76,9 @@ def demo(
 ) -> None:
     """Run every step once, on a simulated cell.
 
-    Simulates and ingests plant logs, trains a model, estimates three sequences, and writes a replay and a report.
-    Repeated, it gives the same numbers.
+    Simulates and ingests plant logs, trains a model, estimates three sequences for a takt of 100 s, and writes a replay
+    and a report with the order that takes the least time and two changes of the cell. Repeated, it gives the same
+    numbers.
     """
     settings: dict[str, object] = {"operator_log": operator_log, "operator_yaw_deg": operator_yaw}
     if operator_xyz is not None:
@@ -106,6 +126,8 @@ def _check(out: Path, operator_log: Path | None) -> None:
         "dataset": "dataset",
         "model": "model",
         "sequences.toml": "sequences",
+        "jobs.toml": "sequences",
+        "changes.toml": "sequences",
         "estimates.json": "estimates-json",
         "replay.rrd": "replay",
         "report.html": "page",
@@ -146,7 +168,7 @@ def _estimates(run: _Run, dataset: Dataset, model: TrainedModel) -> CycleEstimat
     file = run.out / "sequences.toml"
     write_out(file, sequences_toml(set(dataset.tasks()["task"])))
     with run.step(f"estimate {len(SEQUENCES)} sequences") as progress:
-        return estimate_cycles(model, dataset, file, out=run.out / "estimates.json", progress=progress)
+        return estimate_cycles(model, dataset, file, out=run.out / "estimates.json", takt_s=TAKT_S, progress=progress)
 
 
 def sequences_toml(logged: set[str]) -> str:
@@ -176,12 +198,25 @@ def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:
 def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: CycleEstimates) -> ReportFacts:
     from cyclekit.api.report import write_report
 
-    with run.step("evaluate, and write the report") as progress:
-        return write_report(dataset, run.out / "report.html", model=model, estimates=estimates, progress=progress)
+    jobs, changes = run.out / "jobs.toml", run.out / "changes.toml"
+    write_out(jobs, JOBS)
+    write_out(changes, CHANGES)
+    with run.step("search the order, price two changes, and write the report") as progress:
+        return write_report(
+            dataset,
+            run.out / "report.html",
+            model=model,
+            sequences=run.out / "sequences.toml",
+            what_if=[changes],
+            jobs=jobs,
+            takt_s=TAKT_S,
+            estimates=estimates,
+            progress=progress,
+        )
 
 
 def _closing(estimates: CycleEstimates, verdict: str, run: _Run) -> str:
-    model, sequences = run.out / "model", run.out / "sequences.toml"
+    model, sequences, takt = run.out / "model", run.out / "sequences.toml", f"{given(TAKT_S)}s"
     lines = [
         "Cycle time of three orders of the same ten boxes:",
         "",
@@ -196,7 +231,7 @@ def _closing(estimates: CycleEstimates, verdict: str, run: _Run) -> str:
         "- the first execution in 3-D, with the prediction:",
         f"    {command_line(run.out / 'replay.rrd', program='rerun')}",
         f"- sequences of your own: change {sequences}, then",
-        f"    {command_line('estimate', model, sequences, '--dataset', run.out / 'dataset')}",
+        f"    {command_line('estimate', model, sequences, '--dataset', run.out / 'dataset', '--takt', takt)}",
         "",
         f"Done in {duration(sum(run.spent_s.values()))}.",
     ]

@@ -70,7 +70,7 @@ _KINDS: dict[Kind, _Kind] = {
     "estimates-json": _Kind("estimate", rb'\A\s*\{.{0,9000}?"sequences": ?\['),
     "estimates-csv": _Kind("estimate", rb"\Aname,expected_s,expected_low_s,"),
     "what-if": _Kind("what-if", rb'\A\s*\{\s*"safety":.{0,9000}?"answers": ?\['),
-    "sequences": _Kind("sequence file", rb"\A# Written by cyclekit"),
+    "sequences": _Kind("file", rb"\A# Written by cyclekit"),
     "table-csv": _Kind("table", rf"\At_s(,({_COLUMNS}|q\d+_rad|qd\d+_rad_s))*\r?\n".encode()),
     "table-parquet": _Kind("table", rb"cyclekit convert"),
     "replay": _Kind("recording", rb"\ARRF.{0,400}?cyclekit"),

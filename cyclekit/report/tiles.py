@@ -1,4 +1,4 @@
-"""The numbers of the answer as tiles, at most three for each kind of work: today, what was asked for, the best."""
+"""The numbers of the answer as tiles, at most three for each kind of work: today, what was asked for or found, the best."""
 
 from __future__ import annotations
 
@@ -64,19 +64,17 @@ def _tiles(texts: ReportTexts, found: TaktVerdict) -> tuple[Tile, ...]:
         around = _interval(texts, found, today.low_s, today.high_s) if today.executions != 1 or found.apart else ""
         what = texts("tiles.today") if today.sequence is None else today.sequence
         tiles.append(Tile(what, fixed(today.mean_s, found.decimals), around, rests, _share(texts, today.within)))
-    asked = found.asked or (None if found.order else best)
+    order = found.order
+    saves = order is not None and order.saves_s[1] > 0 and found.expected_s is not None
+    asked = found.asked or (None if order else best)
+    if saves and found.change is not None and today is not None:
+        asked = None  # its number stands in the chart and the table; a search was asked for, too
     if asked is not None and (today is None or today.sequence != asked.name):
         change = of_sequence(texts, found, asked).removeprefix(", ")
         share = _share(texts, found.share_within(asked))
         around = _interval(texts, found, asked.expected_low_s, asked.expected_high_s)
         tiles.append(Tile(asked.name, fixed(asked.expected_s, found.decimals), around, change, share))
-    order = found.order
-    if (
-        order is not None
-        and order.saves_s[1] > 0
-        and found.expected_s is not None
-        and len(tiles) + bool(found.change) < 3
-    ):
+    if saves and order is not None and found.expected_s is not None:
         of = found.best or order
         bounds = of.expected_low_s, of.expected_high_s
         tiles.append(_tile(texts, found, texts("tiles.order"), found.expected_s, bounds, found.within))

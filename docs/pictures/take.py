@@ -35,22 +35,6 @@ from browser import Tab, open_browser  # noqa: E402
 PORT = 9977
 MENU_PX = 37
 LARGEST = 300_000
-CHANGES = """
-[[change]]
-name = "zones 0.2 m tighter"
-levels = [0.0, 0.25, 0.5, 0.75, 1.0]
-thresholds_m = [1.0, 1.3, 1.7, 2.2]
-
-[[change]]
-name = "half as many visits"
-frequency = 0.5
-"""
-JOBS = """
-start = "home"
-end = "home"
-via = "conveyor"
-visit = ["left_1", "left_2", "left_3", "left_4", "left_5", "right_1", "right_2", "right_3", "right_4", "right_5"]
-"""
 
 TOGETHER = """
 [[sequence]]
@@ -204,9 +188,7 @@ def main() -> None:
         if not asked.page_only:
             replays(made, out, asked.at, asked.phase)
         options = ["--model", str(made / "model"), "--sequences", str(made / "sequences.toml"), "--takt", "100s", "-q"]
-        for option, text in (("--what-if", CHANGES), ("--plan", JOBS)):
-            (out / f"{option[2:]}.toml").write_text(text, encoding="utf-8")
-            options += [option, str(out / f"{option[2:]}.toml")]
+        options += ["--what-if", str(made / "changes.toml"), "--plan", str(made / "jobs.toml")]
         report = [sys.executable, "-m", "cyclekit", "report", str(made / "dataset"), *options]
         subprocess.run([*report, "--out", str(out / "r.html"), "--pdf", str(out / "r.pdf")], check=True)
         with open_browser() as tab:

@@ -26,7 +26,14 @@ def test_the_demo_goes_the_whole_way_and_ends_with_a_table(
     out = tmp_path / "out"
     done = cyclekit("demo", "--out", out, "--executions", "6")
     assert done.code == 0, done.err
-    assert {"replay.rrd", "report.html", "sequences.toml", "estimates.json"} <= {path.name for path in out.iterdir()}
+    made = {"replay.rrd", "report.html", "sequences.toml", "jobs.toml", "changes.toml", "estimates.json"}
+    assert made <= {path.name for path in out.iterdir()}
+    page = (out / "report.html").read_text(encoding="utf-8")
+    told = " ".join(done.out.split())
+    assert "The order found takes" in told
+    assert "within the takt of 100 s" in told
+    for promised in ("order found", "half as many visits", "m tighter"):
+        assert promised in page
     found = json.loads((out / "estimates.json").read_text(encoding="utf-8"))["sequences"]
     assert {entry["name"] for entry in found} == set(SEQUENCES)
     assert all(entry["expected_s"] > entry["nominal_s"] > 0 for entry in found)

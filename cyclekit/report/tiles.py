@@ -1,4 +1,4 @@
-"""The numbers of the answer as tiles, at most three for each kind of work: today, what was asked for or found, the best."""
+"""The numbers of the answer as tiles, at most three for each kind of work: today, asked for or found, the best."""
 
 from __future__ import annotations
 

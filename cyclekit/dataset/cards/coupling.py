@@ -89,7 +89,6 @@ class ConditionCard(_InOrder, frozen=True, kw_only=True):
         decided: Number of logged passages decided by the event: everything else had occurred before.
         alike: The same number at all places of one kind, if their conditions and lags were learned together; 0: alone.
         common: Correlation of the lag with what the durations of the operator's work share in an execution.
-        with_work: Whether his work begins with the event: the lag contains his own work, and both are one draw.
         signal: Signal from which the event was read, set by the agent at the place; None = from positions.
     """
 
@@ -105,7 +104,6 @@ class ConditionCard(_InOrder, frozen=True, kw_only=True):
     decided: Count = 0
     alike: Count = 0
     common: Fraction = 0.0
-    with_work: bool = False
     signal: str | None = None
 
 

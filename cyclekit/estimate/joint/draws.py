@@ -169,7 +169,7 @@ class CycleDraws:
             for each, need in enumerate(leg.needs):
                 self.soonest_s[which, number, each] = soonest_s(need.lag_s.tolist())
                 level = self._level(rows, f"{key} after {need.event[:3]}", turns[key], need.common)
-                lag_s = quantile(need.lag_s, work if need.with_work else level)
+                lag_s = quantile(need.lag_s, level)
                 if need.needed < 1.0:
                     own = (f"{key} needs {need.event[:3]}", turns[key])
                     chance = self._level(rows, *((f"together {need.together}", need.passage) if need.together else own))

@@ -41,7 +41,6 @@ class Need:
         together: Group: needs of one group are needed in the same passages; 0 = independent.
         passage: Number of the passage.
         common: Correlation of the lag with what the operator's works share in a cycle.
-        with_work: Whether the lag contains the own work of the leg, and both are one draw.
     """
 
     event: Event
@@ -50,7 +49,6 @@ class Need:
     together: int = 0
     passage: int = 0
     common: float = 0.0
-    with_work: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +159,6 @@ def needs_of(conditions: Iterable[ConditionCard], turn: int) -> tuple[Need, ...]
             one.together,
             turn // one.turns.every,
             one.common,
-            one.with_work,
         )
         for one in conditions
         if (number := one.turns.event(turn, one.back)) is not None

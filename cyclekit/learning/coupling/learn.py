@@ -21,7 +21,6 @@ from cyclekit.dataset.cards.coupling import (
 from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.learning.coupling.conditions.alike import Kinds, find_with_alike, kinds_by_waits
 from cyclekit.learning.coupling.conditions.answers import is_own_tool
-from cyclekit.learning.coupling.conditions.begins import with_work_in_lag
 from cyclekit.learning.coupling.conditions.candidates import early_s, times_of
 from cyclekit.learning.coupling.conditions.circles import in_circles
 from cyclekit.learning.coupling.conditions.conditions import FEW_DECIDED, KEPT, MIN_DECIDED, decided_by
@@ -216,8 +215,7 @@ def _without_trips(
     courses: Sequence[ExecutionVisits], given: Sequence[Wait], parts: UnseenParts | None
 ) -> CouplingCard:
     """Return the wait conditions learned from executions in which no visit is a trip; without `parts` those given."""
-    ended_by: set[Event] = set().union(*(course.ended_by for course in courses))
-    barred: dict[Agent, set[Event]] = {"robot": set(), "operator": ended_by}
+    barred: dict[Agent, set[Event]] = {agent: set() for agent in AGENTS}
     if parts is None:
         barred = {agent: set(times_of(courses)) for agent in AGENTS}
     kinds: dict[Agent, Kinds] = {}
@@ -332,7 +330,6 @@ def _gate(
     own_s, cards = _parts(courses, found, beside)
     least = MIN_DECIDED if len(found.since_s) > 1 else FEW_DECIDED  # one of several may be redundant given the others
     cards = [card for card in cards if by_file or max(card.decided, card.alike) >= least]
-    own_s, cards = with_work_in_lag(found, own_s, cards)
     if gate.at == "approach" and not cards:
         return None
     own_by: tuple[OwnWorkCard, ...] = ()

@@ -13,8 +13,8 @@ const needsOf = (agent, at, place, turn, asked) => conditionsOf(gateOf(agent, at
   if (turn % every !== first || passage < back) return [];
   const number = (passage - back) * eventEvery + eventFirst;
   const event = [one.agent, one.place, one.kind, number].join(APART);
-  const { said, lag_s, soonest_s, needed, together, common, with_work: withWork } = one;
-  return [{ event, said, lag_s, soonest_s, needed, together, common, withWork, passage }];
+  const { said, lag_s, soonest_s, needed, together, common } = one;
+  return [{ event, said, lag_s, soonest_s, needed, together, common, passage }];
 });
 const ownByOf = (place, before, next, asked) => { // Gates.own_by_s: own work by the places around it
   const gate = gateOf("operator", "leave", place);
@@ -193,7 +193,7 @@ const drawnOf = (agenda, number) => { // Drawn: levels of own work, lags, walks 
       due: leg.needs.map((need) => ({
         ...need,
         event: number(need.event),
-        level: need.lag_s.length > 1 ? (need.withWork && work) || levelsAlike(`${key} after ${need.said}`, turn, need.common) : null,
+        level: need.lag_s.length > 1 ? levelsAlike(`${key} after ${need.said}`, turn, need.common) : null,
         chance: need.needed < 1 ? chanceOf(need, key, turn) : null,
       })),
     };

@@ -231,7 +231,7 @@ def _source(source: SourceCard) -> dict[str, Any]:
 
 def _gates(card: CouplingCard) -> list[dict[str, Any]]:
     found = []
-    told = ("agent", "place", "back", "needed", "together", "common", "with_work", "lag_s")
+    told = ("agent", "place", "back", "needed", "together", "common", "lag_s")
     for gate in card.gates:
         conditions = [
             {

@@ -13,7 +13,6 @@ from cyclekit.dataset.cards.dataset import begun
 from cyclekit.dataset.signals import INPUT, OUTPUT, switches
 from cyclekit.learning.coupling.events.givers import with_givers
 from cyclekit.learning.coupling.events.repeated import without_repeats
-from cyclekit.learning.coupling.events.shared_ends import with_shared_ends
 from cyclekit.learning.coupling.events.visits import Event, ExecutionVisits, PlaceVisit, events_of
 
 if TYPE_CHECKING:
@@ -111,7 +110,7 @@ def courses_of(
         begins = {card.execution: card.start_s for card in executions}
         return [_with_states(one, logged_states[one.name], begins[one.name], waited) for one in found]
     doubtful = {key for some in inputs.values() for key in some} - {key for some in by_session.values() for key in some}
-    return with_shared_ends(with_givers(found, {Event("signal", *key) for key in doubtful}))
+    return with_givers(found, {Event("signal", *key) for key in doubtful})
 
 
 def _until(executions: Sequence[ExecutionCard]) -> dict[str, float]:

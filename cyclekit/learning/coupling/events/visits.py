@@ -53,7 +53,6 @@ class ExecutionVisits:
         events: Times of each kind of event, ascending, s.
         session, pace: Name of its session; duration of the operator's own work relative to the last execution.
         number: Number among all logged executions, ordered by time; -1 = unknown.
-        ended_by: Departures of the robot that part stays of the operator (`shared_ends`); he does not wait for them.
         later: Changes of signals after its end and before the next execution of its session, in logs without operators.
     """
 
@@ -64,7 +63,6 @@ class ExecutionVisits:
     pace: float = 1.0
     number: int = -1
     later: Mapping[Event, Vector] = field(default_factory=dict)
-    ended_by: frozenset[Event] = frozenset()
 
     def with_operator(self, visits: Sequence[PlaceVisit]) -> ExecutionVisits:
         """Return the execution with other visits of the operator; the signals that he gives stay."""

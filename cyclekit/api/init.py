@@ -19,6 +19,7 @@ from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, DatasetError, LogError, OutputError, command_line
 from cyclekit.estimate.what_to_log import doubtful_places
 from cyclekit.ingest.discover import CELL_FILE, cell_for, find_all, suggest_cell
+from cyclekit.ingest.suggest_activities import with_activities
 from cyclekit.inspect.describe import describe
 from cyclekit.inspect.facts import LogsDescription
 from cyclekit.storage.atomic import write_text
@@ -162,7 +163,11 @@ def _looked_at(
         LogError: Nothing can be read.
     """
     has_cell = (home / CELL_FILE).is_file() or any((root / CELL_FILE).is_file() for root in roots)
-    suggested = None if has_cell else suggest_cell(roots, follow_links=follow_links)
+    suggested = (
+        None
+        if has_cell
+        else with_activities(suggest_cell(roots, follow_links=follow_links), roots, follow_links=follow_links)
+    )
     drafts = suggested.drafts if suggested else {}
     try:
         logs, not_read = find_all(roots, _cell(roots, home), follow_links=follow_links)

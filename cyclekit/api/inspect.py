@@ -19,6 +19,7 @@ from cyclekit.dataset.history import history_of, kinds_of
 from cyclekit.errors import ConfigError, DatasetError, OutputError
 from cyclekit.estimate.what_to_log import WITHIN, RecordingPlan, what_to_log
 from cyclekit.ingest.discover import suggest_cell
+from cyclekit.ingest.suggest_activities import with_activities
 from cyclekit.inspect.facts import DatasetDescription, Description
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.outputs import check_writable
@@ -187,6 +188,7 @@ def draft_cell(logs: Place, out: Place | None = None, *, follow_links: bool = Fa
             raise OutputError(f"{file}: exists, and a cell file is never replaced", cure=cure)
         check_writable(file)
     suggested = suggest_cell([local(logs)], follow_links=follow_links)
+    suggested = with_activities(suggested, [local(logs)], follow_links=follow_links)
     text = cell_to_toml(suggested.cell, suggested.drafts)
     if file is not None:
         write_text(file, text)

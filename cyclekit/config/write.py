@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, get_args
 
-from cyclekit.config.cells import CLOCK_KEYS, Begin, Cell, Frame, Source, Sync
+from cyclekit.config.cells import CLOCK_KEYS, Activity, Begin, Cell, Frame, Source, Sync
 from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ _ABOUT_DRAFTS = (
     "# Settings for sources of unknown format, proposed from their header and first rows: check each line.",
     '# A line that begins with "# ?" is uncertain: correct it, and remove "# ?". Keys: docs/adapters.md, csv.',
 )
+_ABOUT_ACTIVITIES = "# Tasks: states that last, of each agent, and what begins a cycle. Keys: docs/howto/plc-only.md"
 
 
 def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
@@ -42,9 +43,16 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
     for source in cell.sources:
         lines += ["", "[[sources]]"]
         for key, value in vars(source).items():
-            if value is not None and value not in ({}, ()) and (key, value) != ("clock_rate", 1.0):
+            if (
+                key != "activities"
+                and value is not None
+                and value not in ({}, ())
+                and (key, value) != ("clock_rate", 1.0)
+            ):
                 lines.append(f"{key} = {toml_value(value)}")
         draft = drafts.get(source.path)
+        if source.activities:
+            lines += [_ABOUT_ACTIVITIES, f"activities = {toml_value(source.activities)}"]
         lines += [_proposed(proposal) for proposal in draft.source] if draft else []
         role = _role(source, draft)
         if role == "people" and source.frame is None:
@@ -128,6 +136,8 @@ def toml_value(value: object) -> str:
         return f"{{ xyz_m = {toml_value(list(value.xyz_m))}, rotation = {toml_value(rotation)} }}"
     if isinstance(value, Sync):
         value = vars(value)
+    if isinstance(value, Activity):
+        value = {key: each for key, each in vars(value).items() if each != getattr(Activity, key, None)}
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key(str(k))} = {toml_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple):

@@ -60,12 +60,12 @@ def with_activities(parts: Iterable[Recording], activities: Sequence[Activity], 
     if not events:
         cure = "Give them to a log of signals: a mapped table with tags, or with signal and value."
         raise LogError(path, f"holds no signals, and {WHERE} makes tasks of them", cure=cure)
-    tasks, said = tasks_of(_Changes(pl.concat(events), path), activities)
+    tasks, said = tasks_of(Changes(pl.concat(events), path), activities)
     yield replace(last, task_list=tasks, warnings=(*last.warnings, *said))
 
 
 @dataclass(frozen=True)
-class _Changes:
+class Changes:
     """The changes of the signals of a log."""
 
     events: pl.DataFrame
@@ -91,7 +91,7 @@ class _Changes:
         mine = self.events.filter(pl.col("signal") == signal).drop_nulls(["t_s", "value"])
         rows = mine.sort("t_s", maintain_order=True).select("t_s", "value", "source_row").rows()
         states = [value.strip() for _, value, _ in rows]
-        if _is_bit(map(state_of, states)):
+        if is_bit(map(state_of, states)):
             states = list(map(state_of, states))
         found = list[Stay]()
         for (at_s, _, row), state in zip(rows, states, strict=True):
@@ -103,11 +103,12 @@ class _Changes:
         return found
 
 
-def _is_bit(states: Iterable[str]) -> bool:
+def is_bit(states: Iterable[str]) -> bool:
+    """Return whether states are 1 and 0 alone."""
     return set(states) <= {"0", "1"}
 
 
-def tasks_of(changes: _Changes, activities: Sequence[Activity]) -> tuple[pl.DataFrame, list[str]]:
+def tasks_of(changes: Changes, activities: Sequence[Activity]) -> tuple[pl.DataFrame, list[str]]:
     """Return table TASK_LIST of the states of signals, in order of start, and warnings.
 
     A task belongs to the cycle that began last before it; the first one of the agent whose cycles they are lasts from
@@ -137,12 +138,12 @@ def tasks_of(changes: _Changes, activities: Sequence[Activity]) -> tuple[pl.Data
     return conform(frame, TASK_LIST).sort("t_s", maintain_order=True), said
 
 
-def _active(changes: _Changes, one: Activity) -> list[Stay]:
+def _active(changes: Changes, one: Activity) -> list[Stay]:
     """Return the states that are activities, in order of time: those of one signal, or bits by their names."""
     signals, found = changes.names(one.column), list[Stay]()
     for signal in signals:
         stays = changes.stays(signal)
-        if _is_bit(stay.name for stay in stays):
+        if is_bit(stay.name for stay in stays):
             found += [stay._replace(name=signal) for stay in stays if stay.name == "1" and signal not in one.idle]
         else:
             known = [stay for stay in stays if stay.name and stay.name not in one.idle]
@@ -155,12 +156,12 @@ def _named(signal: str, state: str) -> str:
     return f"{signal} {state}" if state.replace(",", "").replace(".", "").lstrip("-").isdigit() else state
 
 
-def _begins(changes: _Changes, cycle: str, activities: Sequence[Activity]) -> tuple[Vector, list[Stay] | None]:
+def _begins(changes: Changes, cycle: str, activities: Sequence[Activity]) -> tuple[Vector, list[Stay] | None]:
     """Return when cycles begin, ascending, s, and the stays in the state that begins them, if it is one of an agent."""
     name, _, value = cycle.partition("=")
     (signal, *_) = changes.names([name])
     stays = changes.stays(signal)
-    bit = _is_bit(stay.name for stay in stays)
+    bit = is_bit(stay.name for stay in stays)
     wanted = [
         stay for stay in stays if stay.name == (state_of(value) if bit else value) or not (value or stay.name == "0")
     ]

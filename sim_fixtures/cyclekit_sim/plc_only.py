@@ -61,7 +61,7 @@ def write_plc_only(
         kept = np.arange(0, len(t_s), round(SCAN_S / 0.01))
     else:
         kept = np.flatnonzero(np.any([np.append(True, each[1:] != each[:-1]) for each in columns.values()], axis=0))
-    time = {"Zeit": _times(program, t_s[kept])}
+    time = {"Zeit [ms]" if program == "stations" else "Zeit": _times(program, t_s[kept])}
     rows = pl.DataFrame(time | {name: values[kept] for name, values in columns.items()})
     path.parent.mkdir(parents=True, exist_ok=True)
     rows.write_csv(path, separator=";", line_terminator="\r\n")

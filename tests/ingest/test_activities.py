@@ -158,7 +158,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(folder: Path) -> None:
         write_plc_only(folder / "logs" / "plc.csv", "scanner-fields", "stations", "changes", executions=24, seed=5)
-        mapping = 'time = "Zeit", time_unit = "ms", decimal = ",", delimiter = ";"'
+        mapping = 'time = "Zeit [ms]", time_unit = "ms", decimal = ",", delimiter = ";"'
         text = (folder / "logs" / "plc.csv").read_text(encoding="utf-8")
         station = STATION.format("*")
         found = read(folder / "logs", text, f'{{ column = "{station}", cycle = "Taste_Start" }}', mapping)

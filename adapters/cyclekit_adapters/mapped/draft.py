@@ -19,6 +19,7 @@ from cyclekit_adapters.mapped.csv_map import METRES, RADIANS
 from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
 from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, name_of
 from cyclekit_adapters.mapped.draft_questions import of_first_time, questions, without_numbers
+from cyclekit_adapters.mapped.draft_states import state_columns
 from cyclekit_adapters.mapped.draft_times import counts_rows, found_times, rises
 from cyclekit_adapters.times.proof import TimeEvidence
 
@@ -68,9 +69,16 @@ def draft_of(table: DraftTable, called: str = "") -> Draft:
     lines, found = _Lines(notes=others), _Findings(table, names, set(re.findall("[a-z]+", called.lower())))
     lines.map += [Proposal(key, value) for key, value in table.keys.items()]
     _add_time(lines, table, names, found)
+    timed, of_time = list(lines.map), set(lines.used)
     {"people": _add_people, "robot": _add_robot}[found.role](lines, table, names, found)
     keys, role = {line.key for line in lines.map}, Proposal("role", found.role, found.why, found.sure)
-    if "tags" in keys and not found.sure and keys.isdisjoint(QUANTITIES):
+    rest = [name for name in table.names if name not in of_time and name not in table.in_lists]
+    is_plc = table.headed and found.role == "robot" and keys.isdisjoint({"x", "joints"})
+    if is_plc and (tags := state_columns(table, names, rest)):
+        lines.map, lines.used = timed, of_time
+        lines.add({"tags": tags}, "states: a signal each")
+        role = Proposal("role", "events", "states, and neither positions nor joints: a PLC's trace")
+    elif "tags" in keys and not found.sure and keys.isdisjoint(QUANTITIES):
         role = Proposal("role", "events", "its columns of two states are signals")
     elif keys.isdisjoint(QUANTITIES):
         lines.add(*questions(table, names, found.role), sure=False)

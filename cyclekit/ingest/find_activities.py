@@ -8,7 +8,7 @@ returns the agent is always at as many places.
 from __future__ import annotations
 
 import re
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -43,11 +43,11 @@ _NO_STATION = {"greifer", "gripper", "grip", "tür", "tuer", "door", "ampel", "l
                "vacuum", "vakuum", "modus", "mode", "betriebsart", "auto", "hand", "override", "ovr", "prozent",
                "percent", "alarm", "fehler", "error", "fault", "teil", "part", "zaehler", "zähler", "count",
                "counter"}  # fmt: skip
-_START = {"start", "zyklusstart", "cyclestart", "go", "begin", "anlauf", "startknopf", "starttaste"}
+_START = {"start", "zyklusstart", "cyclestart", "go", "begin", "anlauf", "startknopf", "starttaste", "zyklus", "cycle"}
 _PROGRAM = {"program", "programm", "prog", "prg", "recipe", "rezept", "rezeptur", "typ", "type", "product", "produkt",
             "auftrag", "job", "order", "variante", "variant", "model", "modell"}  # fmt: skip
 _REST = {"home", "grundstellung", "gst", "idle", "ready", "bereit", "ruhe", "standby", "warten", "wait", "waiting",
-         "stopped", "leerlauf", "init", "0"}  # fmt: skip
+         "stopped", "leerlauf", "init"}  # fmt: skip
 _WAY = {"fahrt", "fahren", "faehrt", "fährt", "verfahren", "moving", "move", "travel", "traveling", "travelling",
         "transit", "unterwegs", "bewegung", "motion", "between", "zwischen", "none", "unknown", "transfer"}  # fmt: skip
 
@@ -79,6 +79,10 @@ def find_activities(changes: Changes) -> tuple[Activity, ...]:
     return (first, *(Activity(one.signals, agent=_agent(one.signals[0])) for one in people[:1]))
 
 
+def _is_rest(state: str) -> bool:
+    return state == "0" or bool(_words(state) & _REST)
+
+
 def _words(name: str) -> set[str]:
     return {word.lower() for word in _WORDS.findall(name)}
 
@@ -101,7 +105,7 @@ def _as_bits(names: tuple[str, ...], bits: Mapping[str, Sequence[Stay]]) -> _Fou
     on = {name: [stay for stay in bits[name] if stay.name == "1"] for name in names}
     on = {name: stays for name, stays in on.items() if stays}
     stays = sorted((stay._replace(name=name) for name in on for stay in on[name]), key=lambda stay: stay.begin_s)
-    rest = tuple(name for name in on if _words(name) & (_REST - {"0"}))
+    rest = tuple(name for name in on if _is_rest(name))
     if len(stays) < FEWEST * len(on) or (len(on) < 2 and not any(map(is_person, on))):
         return None
     if any(_together_s(on[one], on[other]) > EXCLUSIVE * _lasted_s(on[one]) for one, other in combinations(on, 2)):
@@ -136,11 +140,11 @@ def _as_states(name: str, stays: list[Stay]) -> _Found | None:
     if words & (_NO_STATION | _PROGRAM) or any(re.search(r"\d[.,]\d*[1-9]", state) for state in states):
         return None
     ways = {state for state in states if _words(state) & _WAY}
-    rest = {state for state in states - ways if state == "0" or _words(state) & (_REST - {"0"})}
+    rest = {state for state in states - ways if _is_rest(state)}
     tasks = [stay for stay in stays if stay.name in states - ways]
     if not 2 < len(states) <= MOST_STATES or len(tasks) < FEWEST * len(states - ways):
         return None
-    idle = tuple(sorted(ways | (rest & {"0"})))
+    idle = tuple(sorted(ways | rest))
     return _Found((name,), tasks, idle, (False, bool(words & (_STEP | _STATION)), len(tasks)))
 
 
@@ -163,9 +167,15 @@ def _cycle(
     of, returns = (lambda state: state) if len(found.signals) > 1 else (lambda state: f"{found.signals[0]}={state}"), {}
     for stay in found.stays:
         returns.setdefault(stay.name, []).append(stay.begin_s)
-    for state, begins_s in sorted(returns.items(), key=lambda one: -len(_words(one[0]) & _REST)):
-        if _words(state) & _REST and divides(begins_s):
+    for state, begins_s in sorted(returns.items(), key=lambda one: one[0] == "0"):
+        if _is_rest(state) and divides(begins_s):
             return of(state), (state,)
+    for name, stays in signals.items():
+        work = {other.name for one, other in pairwise(stays) if _is_rest(one.name) and not _is_rest(other.name)}
+        begins_s = [stay.begin_s for stay in stays if stay.name in work]
+        other = name not in (*found.signals, *bits) and not _words(name) & _PROGRAM
+        if other and len(work) == 1 and divides(begins_s):
+            return f"{name}={work.pop()}", ()
     for name, stays in signals.items():
         comes_s = [stay.begin_s for stay in stays if stay.name not in ("0", "")]
         if name not in bits and _words(name) & _PROGRAM and divides(comes_s):

@@ -6,6 +6,7 @@ stands at home until the start button is pressed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Literal
@@ -14,9 +15,11 @@ import numpy as np
 import polars as pl
 
 from cyclekit_sim.arm import Array
+from cyclekit_sim.fields import Field
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.plan import prepare, run_sessions
 from cyclekit_sim.program import HOME, MOVE, Ints
+from cyclekit_sim.scenes import Scene
 from cyclekit_sim.session import Session
 from cyclekit_sim.simulate import set_up
 
@@ -30,25 +33,25 @@ STATION = "Rob_an_{}"
 _DAY = datetime(2025, 6, 2, 8, 0, 0)
 
 
-def write_plc_only(
-    path: Path, scene: str, program: Program, form: Form, *, executions: int, seed: int, operator: bool = True
-) -> None:
-    """Write the trace of a cell, all executions in one file.
+def plc_cell(scene: str, *, executions: int, seed: int) -> tuple[Scene, Session]:
+    """Return a cell with fields in motion: all executions in one session; the same seed gives the same motion."""
+    cell, options = set_up(scene, SimulationOptions(people="signals", executions_per_session=executions))
+    (session,) = run_sessions(prepare(cell, seed, options, executions=executions))
+    return cell, session
+
+
+def write_plc_only(path: Path, cell: Scene, session: Session, program: Program, form: Form) -> None:
+    """Write the trace of a cell.
 
     Args:
         path: The file.
-        scene: A scene with fields.
+        cell: The cell.
+        session: Its motion, from `plc_cell`.
         program: `stations`: a bit for each, and a start button. `steps`: the step of a chain: 0 at home, 5 on the way
             there, ten times the number of another place on the way to it, one more there. `words`: its place, or
             `Fahrt`.
         form: A row every SCAN_S, or one for each change of any column.
-        executions: Number of executions.
-        seed: The same seed gives the same bytes.
-        operator: Whether anybody is in the cell.
     """
-    options = SimulationOptions(people="signals", executions_per_session=executions, with_operator=operator)
-    cell, options = set_up(scene, options)
-    (session,) = run_sessions(prepare(cell, seed, options, executions=executions))
     names = [HOME, *(name for name in cell.places if name != HOME)]
     end_s = session.end_s + BEFORE_S
     t_s = np.arange(-BEFORE_S, end_s, 0.01)
@@ -88,7 +91,7 @@ def _states(program: Program, names: list[str], at: Ints, toward: Ints) -> dict[
     return {"Zustand": np.where(at < 0, "Fahrt", np.array(names)[at])}
 
 
-def _around(session: Session, fields: tuple[object, ...], t_s: Array) -> dict[str, Array]:
+def _around(session: Session, fields: Sequence[Field], t_s: Array) -> dict[str, Array]:
     """Return the columns of gripper, fields, door, program and override."""
     robot = session.robot
     row = np.clip(np.searchsorted(robot.t_s, t_s, side="right") - 1, 0, len(robot.t_s) - 1)
@@ -97,7 +100,7 @@ def _around(session: Session, fields: tuple[object, ...], t_s: Array) -> dict[st
     )
     percent = np.where(moving, np.round(100.0 * robot.scaling[row], 1), 100.0)
     found = {"Greifer_zu": np.where(robot.closed[row] == 1, "1", "0")}
-    found |= {one.name: ((robot.inputs[row] >> one.bit) & 1).astype(str) for one in fields}  # type: ignore[attr-defined]
+    found |= {one.name: ((robot.inputs[row] >> one.bit) & 1).astype(str) for one in fields}
     found |= {"Tuer_zu": np.full(len(t_s), "1"), "Programm": np.where(moving, "3", "0")}
     return found | {"Override_Prozent": np.char.replace(np.char.mod("%.1f", percent), ".", ",")}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -9,12 +10,14 @@ import pytest
 from made_once import made_once
 
 import cyclekit
+from cyclekit.config import load_cell
+from cyclekit.config.cells import Activity
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import SimulationOptions, random_sequence, simulate_sequence
-from cyclekit_sim.plc_only import STATION, write_plc_only
+from cyclekit_sim.plc_only import STATION, plc_cell, write_plc_only
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -152,24 +155,56 @@ def test_a_column_that_is_none_is_refused_with_those_there_are(tmp_path: Path, a
     assert seen in str(error.value)
 
 
+PROGRAMS = {
+    "stations": (f"{STATION.format('*')}", "Taste_Start", ()),
+    "steps": ("Schritt", "Schritt=0", ("0",)),
+    "words": ("Zustand", "Zustand=home", ("Fahrt", "home")),
+}
+"""Column, cycle and idle states of the activity of each program."""
+
+
 @pytest.fixture(scope="module")
-def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The trace of a cell, a row for each change, its cell file, and a model of it; `lists`: the same typed by hand."""
+def plants(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The traces of a cell: three programs, each sampled and with a row for each change, in a folder each."""
 
     def make(folder: Path) -> None:
-        write_plc_only(folder / "logs" / "plc.csv", "scanner-fields", "stations", "changes", executions=24, seed=5)
-        mapping = 'time = "Zeit [ms]", time_unit = "ms", decimal = ",", delimiter = ";"'
-        text = (folder / "logs" / "plc.csv").read_text(encoding="utf-8")
-        station = STATION.format("*")
-        found = read(folder / "logs", text, f'{{ column = "{station}", cycle = "Taste_Start" }}', mapping)
-        cyclekit.train_task_times(found, out=folder / "model")
+        cell, session = plc_cell("scanner-fields", executions=24, seed=5)
+        orders = [trace.program.executions[0].places for trace in session.traces]
+        (folder / "orders.json").write_text(json.dumps(orders), encoding="utf-8")
+        for program in PROGRAMS:
+            for form in ("sampled", "changes"):
+                write_plc_only(folder / f"{program}-{form}" / "logs" / "plc.csv", cell, session, program, form)  # type: ignore[arg-type]
 
-    return made_once(tmp_path_factory, "plc_only_24", make)
+    return made_once(tmp_path_factory, "plants_without_a_robot_log_24", make)
 
 
-def test_orders_that_the_plc_never_logged_take_as_long_as_they_do(plant: Path) -> None:
-    dataset = Dataset.open(plant / "dataset")
-    assert len(dataset.card.executions) == 24
+@pytest.mark.parametrize("form", ["sampled", "changes"])
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_drafted_cell_file_makes_the_executions_of_a_trace_without_typing(
+    plants: Path, tmp_path: Path, program: str, form: str
+) -> None:
+    cyclekit.start_project(plants / f"{program}-{form}" / "logs", tmp_path)
+    (source,) = load_cell(tmp_path / "cell.toml").sources
+    column, cycle, idle = PROGRAMS[program]
+    assert source.activities == (Activity((column,), idle=idle, cycle=cycle),)
+    ingest([plants / f"{program}-{form}" / "logs"], tmp_path / "dataset", cell=tmp_path / "cell.toml")
+    found = cycles(Dataset.open(tmp_path / "dataset"))
+    orders = json.loads((plants / "orders.json").read_text(encoding="utf-8"))
+    assert len(found) == 24
+    for number, tasks in enumerate(found):
+        stations = [name.removeprefix(STATION.format("")) for name, *_ in tasks]
+        if program == "steps":
+            assert len(tasks) == 25
+        else:
+            logged = orders[number][1:-1]
+            assert stations == (logged if program == "stations" else [*logged, "to home"])
+
+
+def test_orders_that_the_plc_never_logged_take_as_long_as_they_do(plants: Path, tmp_path: Path) -> None:
+    cyclekit.start_project(plants / "stations-changes" / "logs", tmp_path)
+    ingest([plants / "stations-changes" / "logs"], tmp_path / "dataset", cell=tmp_path / "cell.toml")
+    dataset = Dataset.open(tmp_path / "dataset")
+    model = cyclekit.train_task_times(dataset)
     for seed in (1000, 1001):
         places = random_sequence("scanner-fields", seed)[:-1]  # its last way, back home, is not in a bit
         fresh = simulate_sequence(
@@ -177,6 +212,87 @@ def test_orders_that_the_plc_never_logged_take_as_long_as_they_do(plant: Path) -
         )
         true_s = float(fresh["duration_s"].mean()) + 0.4  # type: ignore[arg-type]  # the button is pressed before
         plan = [PlannedTask("robot", STATION.format(name)) for name in places[1:]]
-        (found,) = cyclekit.estimate_cycles(plant / "model", dataset, [TaskSequence.of_plan("new", plan)])
+        (found,) = cyclekit.estimate_cycles(model, dataset, [TaskSequence.of_plan("new", plan)])
         assert found.expected_low_s < true_s < found.expected_high_s
         assert found.expected_s == pytest.approx(true_s, rel=0.06)
+
+
+def drafted(folder: Path, columns: dict[str, list[str]], sep: str = ";") -> tuple[Activity, ...]:
+    """The activities that a draft of a trace proposes; each row lasts 1 s."""
+    folder.mkdir()
+    rows = [sep.join([str(at), *row]) for at, row in enumerate(zip(*columns.values(), strict=True))]
+    (folder / "plc.csv").write_text("\n".join([sep.join(["Zeit [s]", *columns]), *rows, ""]), encoding="utf-8")
+    text = cyclekit.draft_cell(folder).cell
+    (folder / "cell.toml").write_text(text, encoding="utf-8")
+    return load_cell(folder / "cell.toml").sources[0].activities
+
+
+def of_stations(name: str, visits: str, on: tuple[str, str] = ("1", "0")) -> dict[str, list[str]]:
+    """A bit for each station of `visits`: a station a character, 0 at rest and . on a way."""
+    numbers = sorted(set(visits) - {".", "0"})
+    return {name.format(each): [on[0] if here == each else on[1] for here in visits] for each in numbers}
+
+
+CYCLES = ("00.1.22.3" + "00.1.3.22" + "000.1.22.3") * 4
+PRESSED = ["1" if two == "0." else "0" for two in (a + b for a, b in pairwise(CYCLES + "0"))]
+WARN = ["TRUE" if at % 17 < 5 else "FALSE" for at in range(len(CYCLES))]
+PERCENT = ["50,0" if at % 17 < 5 else "100,0" for at in range(len(CYCLES))]
+
+
+@pytest.mark.parametrize(
+    ("columns", "activity"),
+    [
+        (
+            of_stations("Roboter an Station {}", CYCLES, ("TRUE", "FALSE")) | {"Start-Taster": PRESSED},
+            Activity(("Roboter an Station *",), cycle="Start-Taster"),
+        ),
+        (of_stations("xRobAtSt{}", CYCLES), Activity(("xRobAtSt*",), cycle="xRobAtSt1")),
+        (
+            of_stations("xRobAtSt{}", CYCLES) | {"PackML": ["IDLE" if one == "0" else "EXECUTE" for one in CYCLES]},
+            Activity(("xRobAtSt*",), cycle="PackML=EXECUTE"),
+        ),
+        (
+            of_stations("RobAtSt{}", CYCLES)
+            | {"ProgNo": ["0" if one == "0" else "57"[at > 30] for at, one in enumerate(CYCLES)]},
+            Activity(("RobAtSt*",), cycle="ProgNo"),
+        ),
+        (
+            of_stations("St{}_Rob", CYCLES) | {"Home_Rob": [str(int(one == "0")) for one in CYCLES]},
+            Activity(("St1_Rob", "St2_Rob", "St3_Rob", "Home_Rob"), idle=("Home_Rob",), cycle="Home_Rob"),
+        ),
+        (
+            {"robot_state": [{"0": "home", ".": "moving"}.get(one, f"work{one}") for one in CYCLES], "start": PRESSED},
+            Activity(("robot_state",), idle=("home", "moving"), cycle="start"),
+        ),
+        (
+            {"Rob_Station": [one.replace(".", "0") for one in CYCLES]},
+            Activity(("Rob_Station",), idle=("0",), cycle="Rob_Station=1"),
+        ),
+    ],
+    ids=["start button", "return", "PackML", "program number", "home", "words", "number of the station"],
+)
+def test_a_draft_says_which_states_are_tasks_and_what_begins_a_cycle(
+    tmp_path: Path, columns: dict[str, list[str]], activity: Activity
+) -> None:
+    gripper = ["TRUE" if one in "23" else "FALSE" for one in CYCLES]
+    around = {"Greifer zu": gripper, "Warnfeld": WARN, "Schutztür": ["TRUE"] * len(WARN), "Override [%]": PERCENT}
+    assert drafted(tmp_path / "logs", columns | around) == (activity,)
+
+
+def test_a_persons_bits_are_an_agent_of_their_own(tmp_path: Path) -> None:
+    worker = ["1" if at % 9 in (4, 5, 6) else "0" for at in range(len(CYCLES))]
+    columns = of_stations("Rob_St{}", CYCLES) | {"Werker_am_Platz": worker, "Start": PRESSED}
+    robot, person = drafted(tmp_path / "logs", columns)
+    assert (robot.column, robot.cycle) == (("Rob_St*",), "Start")
+    assert person == Activity(("Werker_am_Platz",), agent="Werker")
+
+
+def test_signals_beside_a_robots_log_are_no_tasks(tmp_path: Path) -> None:
+    pose = {axis: [f"{0.1 * (at % 7):.3f}" for at in range(len(CYCLES))] for axis in ("tcp_x", "tcp_y", "tcp_z")}
+    (tmp_path / "logs").mkdir()
+    rows = [",".join([f"{0.1 * at:.1f}", *row]) for at, row in enumerate(zip(*pose.values(), strict=True))]
+    (tmp_path / "logs" / "robot.csv").write_text("\n".join([",".join(["time", *pose]), *rows, ""]), encoding="utf-8")
+    bits = of_stations("at_{}", CYCLES) | {"start": PRESSED}
+    rows = [",".join([str(at), *row]) for at, row in enumerate(zip(*bits.values(), strict=True))]
+    (tmp_path / "logs" / "plc.csv").write_text("\n".join([",".join(["time", *bits]), *rows, ""]), encoding="utf-8")
+    assert "activities" not in cyclekit.draft_cell(tmp_path / "logs").cell

@@ -21,6 +21,7 @@ from cyclekit.text.numbers import given
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SIGNAL_JOIN, STATES, WHERE, CsvMap, csv_map
 from cyclekit_adapters.mapped.draft import QUANTITIES, draft_of
 from cyclekit_adapters.mapped.draft_events import event_draft
+from cyclekit_adapters.mapped.draft_states import is_trace
 from cyclekit_adapters.mapped.draft_table import sheet_draft_table, text_draft_table
 from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.mapped.map_table import MapTable, text_table
@@ -55,9 +56,8 @@ class _MappedCsv:
         if table is None:
             return None
         draft = draft_of(table, f"{path.parent.name} {path.stem}")
-        return (
-            draft if any(line.key in QUANTITIES and line.value for line in draft.map) else event_draft(table) or draft
-        )
+        wide = is_trace(table) or any(line.key in QUANTITIES and line.value for line in draft.map)
+        return draft if wide else event_draft(table) or draft
 
     def _may_be(self, path: Path) -> str:
         """Return what a draft says of the time of a table whose map names none."""

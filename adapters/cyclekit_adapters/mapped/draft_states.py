@@ -52,6 +52,12 @@ def state_columns(table: DraftTable, names: Mapping[str, Name], rest: Sequence[s
     return found if len(bits) > _FIELDS or len(again) > len(bits) else []
 
 
+def is_trace(table: DraftTable) -> bool:
+    """Return whether a table has a column for each signal: more of two states than an export of events has."""
+    states = [{cell.strip().lower() for cell in cells} - {""} for cells in table.cells.values()]
+    return sum(some in ({"0", "1"}, {"true", "false"}) for some in states) > _FIELDS
+
+
 def _holds_states(cells: Sequence[str]) -> bool:
     """Return whether cells are few words or whole numbers."""
     states = {cell.strip() for cell in cells} - {""}

@@ -164,12 +164,13 @@ def _cycle(
     for name, stays in bits.items():
         if _words(name) & _START and divides([stay.begin_s for stay in stays if stay.name == "1"]):
             return name, ()
-    of, returns = (lambda state: state) if len(found.signals) > 1 else (lambda state: f"{found.signals[0]}={state}"), {}
+    of = "" if len(found.signals) > 1 else f"{found.signals[0]}="
+    returns: dict[str, list[float]] = {}
     for stay in found.stays:
         returns.setdefault(stay.name, []).append(stay.begin_s)
     for state, begins_s in sorted(returns.items(), key=lambda one: one[0] == "0"):
         if _is_rest(state) and divides(begins_s):
-            return of(state), (state,)
+            return f"{of}{state}", (state,)
     for name, stays in signals.items():
         work = {other.name for one, other in pairwise(stays) if _is_rest(one.name) and not _is_rest(other.name)}
         begins_s = [stay.begin_s for stay in stays if stay.name in work]
@@ -186,7 +187,7 @@ def _cycle(
     best = min(
         regular, key=lambda state: (round(spread[state], 2), len(returns[state]), returns[state][0]), default=None
     )
-    return (of(best), ()) if best is not None else (None, ())
+    return (f"{of}{best}", ()) if best is not None else (None, ())
 
 
 def _pattern(names: Sequence[str], signals: Iterable[str]) -> str:
@@ -199,4 +200,4 @@ def _pattern(names: Sequence[str], signals: Iterable[str]) -> str:
 
 
 def _agent(name: str) -> str:
-    return next(word for word in _WORDS.findall(name) if is_person(word))
+    return next(str(word) for word in _WORDS.findall(name) if is_person(word))

@@ -12,11 +12,13 @@ from cyclekit.ingest.activities import Changes
 from cyclekit.ingest.discover import Suggested, find_all, options_of
 from cyclekit.ingest.find_activities import find_activities
 from cyclekit.ingest.registry import adapter_named
+from cyclekit.schema import EVENTS, empty
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from cyclekit.adapter import Recording
     from cyclekit.config import Source
     from cyclekit.ingest.discover import Log
 
@@ -39,12 +41,12 @@ def with_activities(suggested: Suggested, roots: Sequence[Path], *, follow_links
         by_source: dict[str, list[Log]] = {}
         for log in logs:
             by_source.setdefault(log.source.path if log.source else log.shown, []).append(log)
+        if {table for some in by_source.values() for table in next(_parts(some[0])).tables()} != {"events"}:
+            return suggested
         events = {path: _signals_of(some) for path, some in by_source.items()}
     except CyclekitError:  # a draft that cannot be read yet: `ingest` says why
         return suggested
-    if any(one is None for one in events.values()):
-        return suggested
-    found = {path: find_activities(Changes(one, roots[0])) for path, one in events.items() if one is not None}
+    found = {path: find_activities(Changes(one, roots[0])) for path, one in events.items()}
     sources = [replace(source, activities=source.activities or found.get(source.path, ())) for source in cell.sources]
     return replace(suggested, cell=replace(cell, sources=tuple(sources)))
 
@@ -58,22 +60,24 @@ def _as_drafted(source: Source, suggested: Suggested) -> Source:
     return replace(source, **keys, map={line.key: line.value for line in draft.map})  # type: ignore[arg-type]
 
 
-def _signals_of(logs: Sequence[Log]) -> pl.DataFrame | None:
-    """Return table EVENTS of the logs of a source, one after the other; None if they hold anything else."""
+def _parts(log: Log) -> Iterator[Recording]:
+    return adapter_named(log.adapter).parts(log.path, options_of(log.source))
+
+
+def _signals_of(logs: Sequence[Log]) -> pl.DataFrame:
+    """Return table EVENTS of the logs of a source, one after the other."""
     found, rows, end_s = list[pl.DataFrame](), 0, 0.0
     for log in logs:
         mine = list[pl.DataFrame]()
-        for part in adapter_named(log.adapter).parts(log.path, options_of(log.source)):
-            if set(part.tables()) != {"events"} or part.events is None:
-                return None
-            mine.append(part.events)
+        for part in _parts(log):
+            mine += [] if part.events is None else [part.events]
             rows += part.rows_read
             if rows > MAX_ROWS:
                 break
-        one = pl.concat(mine)
+        one = pl.concat([empty(EVENTS), *mine])
         if one.height:
             found.append(one.with_columns(pl.col("t_s") - one["t_s"].min() + end_s))
             end_s = float(found[-1]["t_s"].max()) + 1.0  # type: ignore[arg-type]  # a number
         if rows > MAX_ROWS:
             break
-    return pl.concat(found) if found else None
+    return pl.concat([empty(EVENTS), *found])

@@ -60,12 +60,12 @@ def with_activities(parts: Iterable[Recording], activities: Sequence[Activity], 
     if not events:
         cure = "Give them to a log of signals: a mapped table with tags, or with signal and value."
         raise LogError(path, f"holds no signals, and {WHERE} makes tasks of them", cure=cure)
-    tasks, said = tasks_of(LoggedStates(pl.concat(events), path), activities)
+    tasks, said = tasks_of(SignalLog(pl.concat(events), path), activities)
     yield replace(last, task_list=tasks, warnings=(*last.warnings, *said))
 
 
 @dataclass(frozen=True)
-class LoggedStates:
+class SignalLog:
     """The changes of the signals of a log."""
 
     events: pl.DataFrame
@@ -108,7 +108,7 @@ def is_bit(states: Iterable[str]) -> bool:
     return set(states) <= {"0", "1"}
 
 
-def tasks_of(changes: LoggedStates, activities: Sequence[Activity]) -> tuple[pl.DataFrame, list[str]]:
+def tasks_of(changes: SignalLog, activities: Sequence[Activity]) -> tuple[pl.DataFrame, list[str]]:
     """Return table TASK_LIST of the states of signals, in order of start, and warnings.
 
     A task belongs to the cycle that began last before it; the first one of the agent whose cycles they are lasts from
@@ -138,7 +138,7 @@ def tasks_of(changes: LoggedStates, activities: Sequence[Activity]) -> tuple[pl.
     return conform(frame, TASK_LIST).sort("t_s", maintain_order=True), said
 
 
-def _active(changes: LoggedStates, one: Activity) -> list[Stay]:
+def _active(changes: SignalLog, one: Activity) -> list[Stay]:
     """Return the states that are activities, in order of time: those of one signal, or bits by their names."""
     signals, found = changes.names(one.column), list[Stay]()
     for signal in signals:
@@ -156,7 +156,7 @@ def _named(signal: str, state: str) -> str:
     return f"{signal} {state}" if state.replace(",", "").replace(".", "").lstrip("-").isdigit() else state
 
 
-def _begins(changes: LoggedStates, cycle: str, activities: Sequence[Activity]) -> tuple[Vector, list[Stay] | None]:
+def _begins(changes: SignalLog, cycle: str, activities: Sequence[Activity]) -> tuple[Vector, list[Stay] | None]:
     """Return when cycles begin, ascending, s, and the stays in the state that begins them, if it is one of an agent."""
     name, _, value = cycle.partition("=")
     (signal, *_) = changes.names([name])

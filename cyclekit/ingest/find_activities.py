@@ -20,7 +20,7 @@ from cyclekit.ingest.activities import is_bit
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from cyclekit.ingest.activities import LoggedStates, Stay
+    from cyclekit.ingest.activities import SignalLog, Stay
 
 EXCLUSIVE = 0.02
 """Statistical: bits exclude each other if they are on together for at most this share of the time that one of them is.
@@ -61,7 +61,7 @@ class _Found(NamedTuple):
     rank: tuple[bool, bool, int]
 
 
-def find_activities(changes: LoggedStates) -> tuple[Activity, ...]:
+def find_activities(changes: SignalLog) -> tuple[Activity, ...]:
     """Return the activities that the signals of a log show; none if they show no tasks of a robot."""
     signals = {name: changes.stays(name) for name in changes.names(["*"])}
     bits = {name: stays for name, stays in signals.items() if is_bit(stay.name for stay in stays)}

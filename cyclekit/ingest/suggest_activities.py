@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import CyclekitError
-from cyclekit.ingest.activities import LoggedStates
+from cyclekit.ingest.activities import SignalLog
 from cyclekit.ingest.discover import Suggested, find_all, options_of
 from cyclekit.ingest.find_activities import find_activities
 from cyclekit.ingest.registry import adapter_named
@@ -46,7 +46,7 @@ def with_activities(suggested: Suggested, roots: Sequence[Path], *, follow_links
         events = {path: _signals_of(some) for path, some in by_source.items()}
     except CyclekitError:  # a draft that cannot be read yet: `ingest` says why
         return suggested
-    found = {path: find_activities(LoggedStates(one, roots[0])) for path, one in events.items()}
+    found = {path: find_activities(SignalLog(one, roots[0])) for path, one in events.items()}
     sources = [replace(source, activities=source.activities or found.get(source.path, ())) for source in cell.sources]
     return replace(suggested, cell=replace(cell, sources=tuple(sources)))
 

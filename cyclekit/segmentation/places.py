@@ -12,13 +12,14 @@ one place, these turning points divide its motion (`with_turns`).
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.dataset.dataset import Place
-from cyclekit.segmentation.motion import RobotRun
 from cyclekit.segmentation.standstills import Standstill
 from cyclekit.segmentation.stored_run import Run, pieces
 
@@ -275,40 +276,53 @@ def _packed(index: Ints) -> Ints:
 SLOW = 0.1
 """Maximum speed at a turn, as fraction of the usual speed (90 % quantile)."""
 APART_S = 0.5
-"""Maximum time, s, between slow rows of one turn, and maximum duration of a turn."""
+"""Maximum time, s, between slow rows of one turn, and maximum duration of a turn at which the robot goes on."""
 
 
 def with_turns(runs: Sequence[Run], stops: Sequence[Standstill]) -> list[Standstill]:
     """Return the standstills, and the turns at positions with more than one turn or standstill, in order.
 
+    Such a turn counts as at the standstills there, or at the middle of the turns: where the robot is pushed or rings,
+    each is some millimetres off.
+
     Args:
         runs: All runs.
         stops: Their standstills.
     """
-    turns = [
-        Standstill(number, row, row, xyz, free=True)
-        for number, run in enumerate(runs)
-        for begin, part in pieces(run)
-        for row, xyz in _turns(begin, part)
-    ]
+    turns = [turn for number, run in enumerate(runs) for turn in _turns(run, number, stops)]
     both = [*stops, *turns]
     xyz = np.array([stop.xyz_m for stop in both]).reshape(-1, 3)
-    again = {i for group in cluster(xyz, np.arange(len(both)), MERGE_M) if len(group) > 1 for i in group.tolist()}
-    kept = [stop for i, stop in enumerate(both) if i < len(stops) or i in again]
+    kept = list(stops)
+    for group in cluster(xyz, np.arange(len(both)), MERGE_M):
+        if len(group) > 1:
+            rests = group[group < len(stops)]
+            middle = _triple(np.median(xyz[rests if len(rests) else group], axis=0))
+            kept += [replace(both[i], xyz_m=middle) for i in group.tolist() if i >= len(stops)]
     return sorted(kept, key=lambda stop: (stop.run, stop.first))
 
 
-def _turns(begin: int, part: RobotRun) -> list[tuple[int, tuple[float, float, float]]]:
-    """Return the rows at which speed falls nearly to zero and rises again at once, and their positions."""
-    speed = part.speed_m_s
-    usual = float(np.nanquantile(speed, 0.9)) if np.isfinite(speed).any() else 0.0
-    slow = np.flatnonzero(speed < SLOW * usual)
-    groups = np.split(slow, np.flatnonzero(np.diff(part.t_s[slow]) > APART_S) + 1) if len(slow) else []
+def _turns(run: Run, number: int, stops: Sequence[Standstill]) -> list[Standstill]:
+    """Return where speed falls nearly to zero and rises again: at once, or at one position, though never at rest.
+
+    A robot that is pushed where it stands, or rings there, is never at rest.
+    """
+    rests = [stop.first for stop in stops if stop.run == number and not stop.edge]
     found = []
-    for rows in groups:
-        if rows[0] == 0 or rows[-1] == part.rows - 1 or part.t_s[rows[-1]] - part.t_s[rows[0]] > APART_S:
-            continue  # a standstill or an edge, no turn
-        row = int(rows[int(speed[rows].argmin())])
-        x, y, z = (float(value) for value in part.xyz_m[row])
-        found.append((begin + row, (x, y, z)))
+    for begin, part in pieces(run):
+        speed = part.speed_m_s
+        usual = float(np.nanquantile(speed, 0.9)) if np.isfinite(speed).any() else 0.0
+        slow = np.flatnonzero(speed < SLOW * usual)
+        groups = np.split(slow, np.flatnonzero(np.diff(part.t_s[slow]) > APART_S) + 1) if len(slow) else []
+        for rows in groups:
+            first, last = int(rows[0]), int(rows[-1])
+            if first == 0 or last == part.rows - 1:
+                continue  # an edge
+            row = int(rows[int(speed[rows].argmin())])
+            xyz = _triple(part.xyz_m[row])
+            if part.t_s[last] - part.t_s[first] <= APART_S:
+                found.append(Standstill(number, begin + row, begin + row, xyz, free=True))
+            elif bisect_left(rests, begin + first) == bisect_right(rests, begin + last):
+                away = np.linalg.norm(part.xyz_m[first : last + 1] - part.xyz_m[row], axis=1)
+                if float(away.max()) <= MERGE_M:
+                    found.append(Standstill(number, begin + first, begin + last, xyz, free=True))
     return found

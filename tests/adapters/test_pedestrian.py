@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
 from cyclekit.ingest.registry import adapters
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.formats.pedestrian import ADAPTER
 
 PLAIN = "0 1 1.5 2.5\n0 2 4.0 5.0\n10 1 1.75 2.5\n10 2 4.0 5.25\n"
@@ -35,6 +36,18 @@ def test_frames_become_seconds_by_the_rate_that_was_given(tmp_path):
     ]
     assert (log.up, log.clock) == ("z", "relative")
     assert any("no names" in said for said in log.warnings)
+
+
+@pytest.mark.parametrize(
+    "corrupt", ["151 3 1.5 2.5 7", "151 3", "151 3 1.5 x7", "15x 3 1.5 2.5", "1e99 3 1.5 2.5", "150 1 1.5 2.5"]
+)
+@pytest.mark.parametrize("line", [2, 151, 900])
+def test_one_corrupt_line_among_many_is_set_aside_and_the_table_known(tmp_path, corrupt: str, line: int):
+    rows = [f"{k} {1 + k % 2} {1 + 0.01 * k:.2f} 2.5" for k in range(1, 1000)]
+    rows[line - 1] = corrupt
+    log = examined(read(tmp_path / "crowd.txt", "\n".join([*rows, ""]), rate_hz=25.0))
+    assert log.people.height == 998
+    assert log.set_aside.height == 1
 
 
 def test_a_rate_is_never_invented(tmp_path):

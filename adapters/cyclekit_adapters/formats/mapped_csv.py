@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, cast
 import polars as pl
 
 from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, concat_parts
-from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
+from cyclekit.errors import ConfigError, DamagedLog, EmptyLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit.text.numbers import given
+from cyclekit_adapters.mapped.chosen_rows import ChosenRows
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SIGNAL_JOIN, STATES, WHERE, CsvMap, csv_map
 from cyclekit_adapters.mapped.draft import QUANTITIES, draft_of
 from cyclekit_adapters.mapped.draft_events import event_draft
@@ -85,6 +86,7 @@ class _MappedCsv:
         columns = replace(columns, mapping=replace(mapping, time_format=times.pattern or None))
         clock = cast("ClockKind", mapping.clock or times.clock(mapping.time_zone))
         restarts, seen, back = ClockRestarts(T_S), _Seen(mapping, role), BackwardSteps(T_S, mapping.person)
+        chosen = ChosenRows(mapping.only)
         events, hour = StateChanges(mapping.names), LocalClock(mapping.time_zone, times.pattern)
         canonicals: dict[str, Callable[[pl.DataFrame, CsvMap], pl.DataFrame]]
         canonicals = {"robot": _robot, "people": _people, "events": partial(_events, events)}
@@ -94,7 +96,7 @@ class _MappedCsv:
         spread = None
         of = mapping.person if role == "people" else "".join(mapping.signal[:1])
         if share_stamps(stamps, cells.get(str(of), ())):
-            again = map(lists.rows, table.blocks(names, wanted))
+            again = map(lists.rows, map(chosen.rows, table.blocks(names, wanted)))
             spread = _spread(path, columns, times, options, role, again)
 
         def make(rows: TextRows) -> Recording:
@@ -130,7 +132,12 @@ class _MappedCsv:
             warnings = (*seen.warnings(restarts.back), *unplaced, *coarse, *back.warnings(), *hour.warnings())
             return replace(last, warnings=warnings, facts=facts)
 
-        yield from in_parts(path, table.blocks(names, wanted), make, finish)
+        try:
+            yield from in_parts(path, map(chosen.rows, table.blocks(names, wanted)), make, finish)
+        except EmptyLog:
+            if (nothing := chosen.nothing()) is None:
+                raise
+            raise nothing from None
 
 
 def _spread(
@@ -155,7 +162,7 @@ def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
         ConfigError: The map is invalid for this table.
         LogError: The table cannot be read, or lacks these columns.
     """
-    entries = {entry for kind in _columns(mapping, role) for entry in kind}
+    entries = {entry for kind in _columns(mapping, role) for entry in kind} | set(mapping.only)
     table: MapTable = sheet_table(path, mapping) if is_workbook(path) else text_table(path, mapping, entries)
     if missing := unresolved(entries, table.names):
         if any("\ufffd" in name for name in table.names):
@@ -178,9 +185,10 @@ def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
     if wrong := made.intersection(texts):
         raise ConfigError(f"{WHERE}: {min(wrong)!r} is an element of a list of numbers, but is mapped to a text")
     texts = list(dict.fromkeys([*texts, *(column for column, lists in columns.lists.items() if made & set(numbers))]))
+    some = [name for name in (*numbers, *texts) if name not in mapping.time]
+    texts += [name for name in mapping.only if name not in texts]
     if both := set(numbers).intersection(texts):
         raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
-    some = [name for name in (*numbers, *texts) if name not in mapping.time]
     wanted = Wanted(
         numbers=[name for name in numbers if name not in made],
         texts=texts,

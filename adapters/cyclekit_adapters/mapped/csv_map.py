@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit_adapters.times.units import FRAME, checked_unit, unit_named
@@ -46,6 +46,7 @@ class CsvMap:
         signal: Column of the signal's name, or its parts: device and event of a safety controller's export.
         tags: Columns that are one signal each, such as those of a PLC trace.
         names: Tag or column -> signal name.
+        only: Column -> its values in the rows to read, such as those of one robot of several; the others are no loss.
         quality: Column of a value's quality; rows with a quality not in `good` are set aside.
     """
 
@@ -80,6 +81,7 @@ class CsvMap:
     value: str | None = None
     tags: tuple[str, ...] = ()
     names: Mapping[str, str] = field(default_factory=dict)
+    only: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     quality: str | None = None
     good: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
@@ -178,6 +180,11 @@ def _checked(key: str, value: object) -> object:
     if key in ("states", "names"):
         right = isinstance(value, Mapping) and all(isinstance(v, str) for v in value.values())
         wanted = "a table of texts"
+    elif key == "only":
+        listed = {name: [one] if isinstance(one, str) else one for name, one in _items(value)}
+        right = bool(listed) and all(_is_texts(some) for some in listed.values())
+        wanted = 'a table of texts, such as { robot_id = "R1" }'
+        value = {name: tuple(map(str, some)) for name, some in listed.items()} if right else value
     elif key in _LISTS:
         if isinstance(value, str) and key != "columns":
             return (value,)
@@ -195,6 +202,14 @@ def _checked(key: str, value: object) -> object:
     if not right:
         raise ConfigError(f"{WHERE}: {key} = {value!r} is not {wanted}")
     return value
+
+
+def _items(value: object) -> list[tuple[str, Any]]:
+    return list(value.items()) if isinstance(value, Mapping) else []
+
+
+def _is_texts(value: object) -> bool:
+    return isinstance(value, Sequence) and len(value) > 0 and all(isinstance(one, str) for one in value)
 
 
 def _is_number(value: object) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 
 from cyclekit.adapter import Draft, Proposal
 from cyclekit.text.numbers import given
+from cyclekit_adapters.mapped.chosen_rows import columns_of_several
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS
 from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
 from cyclekit_adapters.mapped.draft_names import PERSON, ROBOT, TRACKER, Name, name_of
@@ -112,6 +113,9 @@ class _Findings:
         self.role = "people" if is_person and not is_robot else "robot"
         self.places = (persons or places(table, names, of_people=True)) if self.role == "people" else robots
         self.others = persons if self.role == "robot" else []
+        near = [found[0].columns for found in (self.places, self.joints) if found and self.role == "robot"][:1]
+        path = [np.stack([table.numbers[column] for column in columns], axis=1) for columns in near]
+        self.robots = [name for one in path for name in columns_of_several(table, one)]
 
     def evidence(self, table: DraftTable) -> TimeEvidence:
         """Return what these columns say of the unit of a time: a path in m or rad, if its unit is certain."""
@@ -123,11 +127,11 @@ class _Findings:
         return TimeEvidence(of=of, before_s=table.before_s)
 
     def _of_one(self, table: DraftTable, path: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a path with the positions of all but the most frequent person unknown."""
-        if not self.people:
+        """Return a path with the positions of all but the most frequent person or robot unknown."""
+        column = (self.people or self.robots)[:1]
+        if not column:
             return path
-        cells = table.cells[self.people[0]]
-        most = Counter(cells).most_common(1)[0][0]
+        cells, most = table.cells[column[0]], _most_common(table, column[0])
         return np.where(np.array([cell == most for cell in cells])[:, None], path, np.nan)
 
 
@@ -172,8 +176,18 @@ def _add_people(lines: _Lines, _: DraftTable, names: dict[str, Name], found: _Fi
             break
 
 
+def _most_common(table: DraftTable, column: str) -> str:
+    """Return the most frequent text of a column."""
+    return Counter(table.cells[column]).most_common(1)[0][0]
+
+
 def _add_robot(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _Findings) -> None:
     _add_place(lines, found)
+    for column in found.robots[:1]:
+        several = ", ".join(dict.fromkeys(table.cells[column]))
+        only: dict[str, object] = {column: _most_common(table, column)}
+        lines.add({"only": only}, f"rows of several robots ({several}): choose one, a dataset of each", sure=False)
+        lines.used.add(column)
     if found.joints:
         arm = found.joints[0]
         why = "; ".join(part for part in (arm.unit_why, arm.why) if part)

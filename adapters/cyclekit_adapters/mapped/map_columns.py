@@ -85,6 +85,7 @@ def columns_of(path: Path, mapping: CsvMap, names: Sequence[str], widths: Mappin
     for key in SEVERAL:
         several = (name for entry in getattr(mapping, key) for name in finder.many(entry, whole=key == "joints"))
         found[key] = tuple(dict.fromkeys(several))
+    found["only"] = {finder.one("only", entry): values for entry, values in mapping.only.items()}
     return Columns(replace(mapping, **found), tuple(finder.names), finder.lists)  # type: ignore[arg-type]  # by key
 
 

@@ -39,6 +39,7 @@ class Kind:
         slack_m: Maximum step that is never a jump, whatever its time: clocks jitter, tracks move from head to hip.
         reach_m: Maximum plausible distance: a robot on a gantry, a person in the same hall.
         likely: Likely cause of a lasting jump.
+        mixed: What a log holds whose rows go to and fro between two tracks, and the cure.
     """
 
     whose: str
@@ -47,10 +48,18 @@ class Kind:
     slack_m: float
     reach_m: float
     likely: str
+    mixed: str
 
 
-TCP = Kind("the TCP", ("tcp_x_m", "tcp_y_m", "tcp_z_m"), 10.0, 0.05, 30.0, "a changed tool, or two recordings in one")
-PERSON = Kind("a person", ("x_m", "y_m", "z_m"), 20.0, 0.3, 150.0, "a track that changed its person")
+TCP = Kind(
+    *("the TCP", ("tcp_x_m", "tcp_y_m", "tcp_z_m"), 10.0, 0.05, 30.0, "a changed tool, or two recordings in one"),
+    "two robots in one table, or two publishers on one topic; read the rows of one (key only of a mapped table), or "
+    "record each alone",
+)
+PERSON = Kind(
+    *("a person", ("x_m", "y_m", "z_m"), 20.0, 0.3, 150.0, "a track that changed its person"),
+    "several people under one name; map the column of their id (key person of a mapped table)",
+)
 
 
 class Places:
@@ -61,7 +70,7 @@ class Places:
         self._scale_off: bool | None = None  # True if most of the first positions are out of reach: another unit
         self._far_rows, self._far_m = 0, 0.0
         self._usual_s: float | None = None
-        self._jumps = 0
+        self._jumps, self._to_and_fro = 0, 0
         self._same: Vector | None = None
         self._still, self._seen = True, 0
         self._most_m = 0.0
@@ -92,6 +101,7 @@ class Places:
             stray, jumps = self._of_track(times[rows], xyz[:, rows], here[rows])
             bad[rows] = stray
             self._jumps += jumps
+            self._to_and_fro += int((stray[1:] & stray[:-1] & here[rows][1:]).sum())
         return bad
 
     def _of_track(self, times: Vector, xyz: Vector, here: Bools) -> tuple[Bools, int]:
@@ -159,7 +169,12 @@ class Places:
                 f"{kind.whose} is {fixed(self._far_m, 0)} m away in {self._far_rows} rows: probably millimetres; "
                 'set length_unit = "mm", or correct the unit in the export'
             )
-        if self._too_fast > WRONG_UNIT * self._ways and not self._far_rows:
+        if self._to_and_fro > WRONG_UNIT * self._seen and not self._far_rows:
+            found.append(
+                f"{kind.whose} goes to and fro between two tracks in {self._to_and_fro} of {self._seen} rows: "
+                f"{kind.mixed}"
+            )
+        elif self._too_fast > WRONG_UNIT * self._ways and not self._far_rows:
             unit = "of length; give length_unit" if self.unit_shown else "of time; give time_unit, or length_unit"
             found.append(
                 f"{kind.whose} moves at {fixed(float(np.median(self._speeds_m_s)), 1)} m/s, which none does (at most "

@@ -146,6 +146,16 @@ def test_more_frames_than_15_bits_can_count_are_no_negative_number(tmp_path):
     assert ADAPTER.read(path, ReadOptions()).people.height == 33_000
 
 
+@pytest.mark.parametrize("markers", [1, 3])
+@pytest.mark.parametrize("frames", [65_535, 65_536, 70_001])
+def test_a_counter_of_frames_at_its_bound_does_not_cut_the_file(tmp_path, frames, markers):
+    points = np.arange(frames, dtype=float)[:, None, None] * 0.01 + np.arange(1.0, 3 * markers + 1).reshape(markers, 3)
+    log = ADAPTER.read(write(tmp_path / "a.c3d", points), ReadOptions(body="Subject:LASI"))
+    assert log.people.height == log.rows_read == frames
+    assert log.people["x_m"][-1] == pytest.approx(points[-1, 0, 0] / 1000)
+    assert any("its counter of frames is at its bound" in text for text in log.warnings) is (frames > 65_535)
+
+
 def test_a_cut_file_gives_its_whole_frames_and_says_what_is_missing(tmp_path):
     whole = plain(some_points(40, 1), np.zeros((40, 1)))
     path = tmp_path / "cut.c3d"

@@ -59,6 +59,11 @@ class _C3d:
         cut = log.frames_stated - len(places)
         if cut:
             messages.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
+        if log.by_size:
+            messages.append(
+                f"its counter of frames is at its bound: {len(places)} are read by the size of the file; "
+                "TRIAL:ACTUAL_END_FIELD would tell their number"
+            )
         axis, evidence = (up, "from the cell file") if up else _up(log, names, places, messages)
         return Recording(
             people=table,

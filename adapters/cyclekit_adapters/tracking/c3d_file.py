@@ -42,6 +42,7 @@ class C3dFile:
         rate_hz: Frames per second.
         first_frame: Number of the first frame, from 1.
         frames_stated: Number of frames according to the file.
+        by_size: Whether that is its size, because the counter of frames is at its bound.
         texts: Text parameters, by (group, name).
     """
 
@@ -51,6 +52,7 @@ class C3dFile:
     first_frame: int
     frames_stated: int
     texts: dict[tuple[str, str], list[str]]
+    by_size: bool = False
 
     def text(self, group: str, name: str) -> str:
         """Return the first text of a parameter; "" if there is none."""
@@ -208,15 +210,23 @@ def _points(file: _Open, processor: int, parameters: _Parameters, texts: dict[tu
     width = 4 * markers + analog
     frame = width * (4 if scale < 0.0 else 2)
     held = max(file.size - (block - 1) * _BLOCK, 0) // frame
+    by_size = frames == _MAX_COUNT < held
+    frames = held if by_size else frames
     used = min(frames, held)
     if used <= 0:
         raise DamagedLog(path, f"a header of {frames} frames and no whole frame of data", cure=_CURE)
     file.log.seek((block - 1) * _BLOCK)
     data = file.log.read(used * frame)
     used = len(data) // frame  # fewer if the file was truncated meanwhile
+    while (
+        by_size
+        and file.size - (block - 1) * _BLOCK - (used - 1) * frame < _BLOCK
+        and not any(data[(used - 1) * frame : used * frame])
+    ):
+        used, frames = used - 1, frames - 1  # the last block is filled up with zeros
     points = _places(data[: used * frame], processor, scale, used, width, markers)
     labels = _labels(texts, markers)
-    return C3dFile(points, labels, rate_hz, _first_frame(parameters, processor, first), frames, texts)
+    return C3dFile(points, labels, rate_hz, _first_frame(parameters, processor, first), frames, texts, by_size)
 
 
 def _places(data: bytes, processor: int, scale: float, frames: int, width: int, markers: int) -> NDArray[np.float64]:

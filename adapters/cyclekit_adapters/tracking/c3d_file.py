@@ -218,15 +218,14 @@ def _points(file: _Open, processor: int, parameters: _Parameters, texts: dict[tu
     file.log.seek((block - 1) * _BLOCK)
     data = file.log.read(used * frame)
     used = len(data) // frame  # fewer if the file was truncated meanwhile
-    while (
-        by_size
-        and file.size - (block - 1) * _BLOCK - (used - 1) * frame < _BLOCK
-        and not any(data[(used - 1) * frame : used * frame])
-    ):
-        used, frames = used - 1, frames - 1  # the last block is filled up with zeros
+    over = used - _MAX_COUNT if by_size else 0
+    while over > 0 and file.size - (block - 1) * _BLOCK - (used - 1) * frame <= _BLOCK:
+        if any(data[(used - 1) * frame : used * frame]):
+            break
+        used, frames, over = used - 1, frames - 1, over - 1  # the last block is filled up with zeros
     points = _places(data[: used * frame], processor, scale, used, width, markers)
     labels = _labels(texts, markers)
-    return C3dFile(points, labels, rate_hz, _first_frame(parameters, processor, first), frames, texts, by_size)
+    return C3dFile(points, labels, rate_hz, _first_frame(parameters, processor, first), frames, texts, over > 0)
 
 
 def _places(data: bytes, processor: int, scale: float, frames: int, width: int, markers: int) -> NDArray[np.float64]:

@@ -115,7 +115,7 @@ class Placeholders:
 
 def _computed(odd: pl.DataFrame) -> list[str]:
     """Return the columns of the TCP if it is one and the same in all these rows, as if computed from their joints."""
-    names = [name for name in ("tcp_x_m", "tcp_y_m", "tcp_z_m") if name in odd.columns]
+    names = [name for name in odd.columns if name in ("tcp_x_m", "tcp_y_m", "tcp_z_m")]
     return names if all(odd[name].n_unique() <= 1 for name in names) else []
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -35,6 +36,10 @@ SMALL_BYTES = 1 << 20
 _CURE = "Check the file."
 _BY_HAND = 'Map its columns in cell.toml, with adapter = "csv" (tasks: "task-list")'
 _OLE = b"\xd0\xcf\x11\xe0"
+_JSON = re.compile(rb"[\xef\xbb\xbf\s]*(?:\{|\[\s*[\[{\"\d-])")
+_ZIP = b"PK\x03\x04"
+_PACKED = (_ZIP, b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"PAR1")
+"""First bytes of zip, gzip, zstd and Parquet files."""
 _LFS = b"version https://git-lfs.github.com/spec/"
 
 
@@ -283,8 +288,8 @@ def why_unknown(path: Path) -> UnknownFormat:
     if path.name in (CARD, MODEL_CARD):
         look = command_line("inspect", path.parent)
         return UnknownFormat(path, "part of a dataset or model, not a log", cure=f"Look at it: {look}")
-    if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")):
-        return UnknownFormat(path, "JSON that no adapter recognises", cure=cure)
+    if _JSON.match(head):
+        return UnknownFormat(path, "JSON that no adapter recognises", cure=_as_parquet(path, head) or cure)
     cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
     if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
         return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")
@@ -295,26 +300,47 @@ def why_unknown(path: Path) -> UnknownFormat:
         cause = f"a table that no adapter recognises: {_BY_HAND[0].lower()}{_BY_HAND[1:]}"
         draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
         return UnknownFormat(path, f"{cause} (docs/adapters.md)", cure=f"Draft the map: {draft}")
+    if head.startswith(_PACKED):
+        draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
+        cure = f"If it holds one table, draft its map: {draft}"
+        return UnknownFormat(path, "packed, and no adapter recognises its content", cure=cure)
     return UnknownFormat(path, "no adapter recognises this content", cure=cure)
+
+
+def _as_parquet(path: Path, head: bytes) -> str:
+    """Return the command that makes a table of a file of JSON records; empty if it holds none."""
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    lines = len(text.splitlines()) > 1 and text.splitlines()[1].startswith(b"{")
+    if not (lines or re.match(rb"\[\s*\{", text)):
+        return ""
+    read = "read_ndjson" if lines else "read_json"
+    made = path.with_suffix(".parquet")
+    code = f"import polars; polars.{read}({path.as_posix()!r}).write_parquet({made.as_posix()!r})"
+    return f'Make a table of it, which is read or mapped: python -c "{code}"'
 
 
 def without_draft(path: Path) -> UnknownFormat | None:
     """Return the error for a table of which no adapter proposes a map; None if the file is no table."""
     with path.open("rb") as file:
-        if not _is_table(file.read(4096)):
-            return None
+        head = file.read(4096)
+    if head.startswith(_ZIP) and not _is_table(head):
+        cure = f"Unpack it: python -m zipfile -e {path} {path.stem}"
+        return UnknownFormat(path, "a zip archive of several files, or of one that is no table", cure=cure)
+    if _JSON.match(head) or not (_is_table(head) or head.startswith(_PACKED)):
+        return None
     cause = "no map can be drafted: it has no rows of numbers or times in as many cells as a line of names"
     return UnknownFormat(path, cause, cure=f"{_BY_HAND}, by hand (docs/adapters.md).")
 
 
 def _is_table(head: bytes) -> bool:
-    """Return whether data looks like a table: lines with three or more cells each, rows of numbers, or a workbook."""
-    if head.startswith(b"PK\x03\x04"):
+    """Return whether data looks like a table: most lines with as many cells, rows of numbers, or a workbook."""
+    if head.startswith(_ZIP):
         return b"[Content_Types].xml" in head or b"xl/" in head
     lines = head.strip().splitlines()[:12]
     if b"\0" in head or not lines:
         return False
     numbers = {len(line.split()) for line in lines[1:-1] or lines if re.fullmatch(rb"[\s\d.,eE+-]+", line)}
+    often = {mark: Counter(line.count(mark) for line in lines).most_common(1)[0] for mark in (b",", b";", b"\t")}
     return (len(numbers) == 1 and max(numbers) > 2) or any(
-        len({line.count(mark) for line in lines[:3]}) == 1 and lines[0].count(mark) > 1 for mark in (b",", b";", b"\t")
+        2 * rows > len(lines) and marks > (mark == b",") for mark, (marks, rows) in often.items()
     )

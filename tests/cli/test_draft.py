@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import shlex
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
 from sheet_files import write_workbook
 
 from cyclekit.dataset.dataset import Dataset
@@ -47,6 +52,29 @@ def test_a_cure_is_never_the_command_that_was_typed(cyclekit: Shell, tmp_path: P
     assert refused.code == 1
     assert "--write-cell" not in refused.err
     assert "no map can be drafted" in refused.err
+
+
+@pytest.mark.parametrize("lines", [True, False])
+def test_json_records_name_the_command_that_makes_a_table_of_them(
+    cyclekit: Shell, tmp_path: Path, *, lines: bool
+) -> None:
+    log = tmp_path / "log.json"
+    records = [json.dumps({"t": i / 50, "tcp_x": 0.4 + i / 1000, "tcp_y": 0.25, "q": [1, 2]}) for i in range(60)]
+    log.write_text("\n".join(records) if lines else f"[{', '.join(records)}]")
+    refused = cyclekit("inspect", log)
+    assert refused.err == cyclekit("inspect", log, "--write-cell").err
+    _, *command = shlex.split(refused.err.strip().splitlines()[-1].partition("mapped: ")[2])
+    subprocess.run([sys.executable, *command], check=True)
+    assert 'x = "tcp_x"' in cyclekit("inspect", tmp_path / "log.parquet", "--write-cell").out
+
+
+def test_an_archive_of_several_files_says_how_to_unpack_it(cyclekit: Shell, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "logs.zip", "w") as archive:
+        for name in ("a.csv", "b.csv"):
+            archive.write(kuka(tmp_path / name), name)
+    cure = cyclekit("inspect", tmp_path / "logs.zip").err.strip().splitlines()[-1].partition("map: ")[2]
+    refused = cyclekit(*shlex.split(cure)[1:])
+    assert "python -m zipfile -e" in refused.err
 
 
 def test_a_draft_that_maps_nothing_is_not_called_ready(cyclekit: Shell, tmp_path: Path) -> None:

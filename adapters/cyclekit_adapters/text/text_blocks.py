@@ -1,21 +1,18 @@
 """Text logs as blocks of whole lines in UTF-8, whatever their encoding, line ends or compression.
 
-Logs may use the line ends of old machines (a bare CR), be compressed by gzip or zstd, and exceed memory. `encodings`
-finds the encoding, `delimited` interprets the lines.
+Logs may use the line ends of old machines (a bare CR), be packed (`unpack`), and exceed memory. `encodings` finds the
+encoding, `delimited` interprets the lines.
 """
 
 from __future__ import annotations
 
 import codecs
-import gzip
 import io
 import os
 import re
 import stat
-import sys
-import zlib
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit_adapters.text.encodings import (
@@ -28,11 +25,7 @@ from cyclekit_adapters.text.encodings import (
     is_known,
     is_windows,
 )
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
+from cyclekit_adapters.text.unpack import BROKEN, NoLog, unpacked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -48,19 +41,12 @@ _SMALL = 1 << 17
 """Maximum size, bytes, of a file that is read only once, for its head and its rows."""
 _STEP = 1 << 16
 _PIECE = 1 << 19
-_GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
-_MAX_RATIO = 1000
-"""Maximum compression ratio: no log reaches it, so a file beyond it is a decompression bomb."""
 _CELL = b"\x1f"
 _BARE_CR = re.compile(r"(?<!\r)\r++(?=[^\n])")
 """Carriage returns without a line feed: line ends of old machines, possibly mixed with others."""
 
 _assumed: dict[Path, tuple[int, int]] = {}
 """Logs read so far whose encoding is a guess, with their size and time of change."""
-
-
-class _Bomb(OSError):
-    """The decompressed data exceeds the maximum ratio to the file's size."""
 
 
 def file_encoding(path: Path) -> str | None:
@@ -114,16 +100,18 @@ def _first(path: Path, size: int) -> bytes:
         if not stat.S_ISREG(about.st_mode):
             raise LogError(path, "is not a file", cure="Name the file itself.")
         return _read_first(path, size, about.st_size, about.st_mtime_ns)
+    except NoLog as error:
+        raise DamagedLog(path, str(error.strerror), cure=error.cure) from error
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
 @lru_cache(maxsize=16)  # each adapter reads the head of each file
 def _read_first(path: Path, size: int, _bytes: int, _changed: int) -> bytes:
-    with _opened(path, _bytes, _changed) as file, _unpacked(file, path) as log:
+    with _opened(path, _bytes, _changed) as file, unpacked(file, path) as log:
         try:
             return log.read(size)
-        except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError):
+        except BROKEN:
             return b""
 
 
@@ -152,7 +140,7 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
         DamagedLog: It holds a line longer than any logger writes, or is a decompression bomb.
     """
     about = path.stat()
-    with _opened(path, about.st_size, about.st_mtime_ns) as file, _unpacked(file, path) as log:
+    with _opened(path, about.st_size, about.st_mtime_ns) as file, unpacked(file, path) as log:
         first = _first(path, HEAD_BYTES)
         bare_cr = b"\r" in first and bool(_BARE_CR.search(first.decode(encoding, "replace")))
         plain = log is file and encoding in UTF_8 and not bare_cr
@@ -165,9 +153,9 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
                     skip_lines -= 1
                 if text:
                     yield _with_one_delimiter(text, delimiter)
-        except _Bomb as error:
-            raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
-        except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError) as error:
+        except NoLog as error:
+            raise DamagedLog(path, str(error.strerror), cure=error.cure) from error
+        except BROKEN as error:
             raise DamagedLog(path, f"its compressed data is damaged ({error})", cure="Copy it again.") from error
 
 
@@ -185,12 +173,12 @@ def characters_of(path: Path) -> Iterator[str]:
         raise DamagedLog(path, "not a text file: it begins with NUL bytes", cure="Check the copy.")
     if (declared := declared_in(first)) is not None and not is_known(declared):
         raise DamagedLog(path, f"it declares the unknown encoding {declared!r}", cure="Export it again in UTF-8.")
-    with path.open("rb") as file, _unpacked(file, path) as log:
+    with path.open("rb") as file, unpacked(file, path) as log:
         try:
             yield from decoded(iter(partial(log.read, _PIECE), b""), encoding, partial(_assume, path))
-        except _Bomb as error:
-            raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
-        except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError) as error:
+        except NoLog as error:
+            raise DamagedLog(path, str(error.strerror), cure=error.cure) from error
+        except BROKEN as error:
             raise DamagedLog(path, f"its compressed data is damaged ({error})", cure="Copy it again.") from error
 
 
@@ -285,36 +273,3 @@ def _with_one_delimiter(block: bytes, delimiter: str) -> bytes:
         block = block.replace(b"\n ", b"\n").replace(b" \n", b"\n").replace(b" \r\n", b"\r\n")
         return block.strip(b" ").replace(b" ", _CELL)
     return block.replace(delimiter.encode(), _CELL)
-
-
-def _unpacked(file: BinaryIO, path: Path) -> BinaryIO:
-    """Return the file, or its decompressed content."""
-    first = file.read(4)
-    file.seek(0)
-    if first.startswith(_GZIP):
-        return cast("BinaryIO", _Counted(gzip.GzipFile(fileobj=file), path))
-    if first == _ZSTD:
-        return cast("BinaryIO", _Counted(zstd.ZstdFile(file), path))
-    return file
-
-
-class _Counted(io.RawIOBase):
-    """A decompressing stream that raises when the output exceeds the maximum ratio."""
-
-    def __init__(self, packed: io.BufferedIOBase, path: Path) -> None:
-        super().__init__()
-        self._packed, self._given, self._most = packed, 0, max(path.stat().st_size, 1 << 16) * _MAX_RATIO
-
-    def readable(self) -> bool:
-        return True
-
-    def read(self, size: int = -1) -> bytes:
-        data = self._packed.read(size)
-        self._given += len(data)
-        if self._given > self._most:
-            raise _Bomb(0, f"it unpacks to more than {_MAX_RATIO} times its size: it is not a log")
-        return data
-
-    def close(self) -> None:
-        self._packed.close()
-        super().close()

@@ -38,7 +38,7 @@ CELL_FILE = "cell.toml"
 _MAX_ALIKE, _MAX_TRIED = 5, 500
 _READ_BYTES = 100_000_000
 """Maximum size of a log that is read for the names of its joints: a second."""
-_OF_USE = {"x", "joints", "scaling", "signal", "tags"}
+_OF_USE = {"x", "joints", "scaling", "signal", "tags", "task"}
 """Keys of which a draft for a table in a folder must have at least one; otherwise the table is probably no log."""
 
 

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from cyclekit.adapter import ReadOptions
+from cyclekit_adapters.formats import mapped_csv
 from cyclekit_adapters.formats.task_list import ADAPTER
 
 
@@ -110,6 +111,26 @@ def test_a_table_of_tasks_is_known_by_the_names_that_process_mining_and_planners
     rows = read(path)
     took = zip(*rows.select("agent_name", "task", "execution"), rows["end_s"] - rows["t_s"], strict=True)
     assert sorted(took) == READ
+
+
+@pytest.mark.parametrize(
+    ("lines", "asked"),
+    [
+        (whole("Nr;Wer;Was;Los um;Weg um", lambda a, t, c, s, e: f"{c[-1]};{a};{t};{iso(s)};{iso(e)}"), set()),
+        (whole("Serie,Was,Wer,Los,Weg", lambda a, t, c, s, e: f"{c},{t},{a},{iso(s)},{iso(e)}"), {"task", "execution"}),
+        (paired("Serie,Was,Wer,Stempel,Art", lambda a, t, c, tr, at: f"{c},{t},{a},{iso(at)},{tr}"),
+         {"task", "execution"}),
+    ],
+)  # fmt: skip
+def test_a_table_of_tasks_with_other_names_is_drafted_by_its_cells(tmp_path, lines, asked):
+    path = table(tmp_path / "a.csv", *lines)
+    assert not ADAPTER.recognises(path)
+    assert mapped_csv.ADAPTER.draft(path) is None
+    draft = ADAPTER.draft(path)
+    assert {line.key for line in draft.map if not line.sure} == asked
+    rows = ADAPTER.read(path, ReadOptions(map={line.key: line.value for line in draft.map})).task_list
+    took = zip(*rows.select("agent_name", "task"), rows["end_s"] - rows["t_s"], strict=True)
+    assert sorted(took) == [(agent, task, seconds) for agent, task, _, seconds in READ]
 
 
 def test_starts_and_ends_in_rows_of_their_own_keep_the_line_of_the_start_and_name_what_never_started(tmp_path):

@@ -29,6 +29,7 @@ from cyclekit_adapters.mapped.map_table import MapTable, text_table
 from cyclekit_adapters.mapped.mapped_time import mapped_times, require_epoch
 from cyclekit_adapters.mapped.sheets import sheet_table
 from cyclekit_adapters.robots.controller_time import BackwardSteps, ClockRestarts, Range
+from cyclekit_adapters.tasks.draft_tasks import task_draft
 from cyclekit_adapters.tasks.state_changes import StateChanges
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells, first_width
@@ -57,8 +58,11 @@ class _MappedCsv:
         if table is None:
             return None
         draft = draft_of(table, f"{path.parent.name} {path.stem}")
-        wide = is_trace(table) or any(line.key in QUANTITIES and line.value for line in draft.map)
-        return draft if wide else event_draft(table) or draft
+        if is_trace(table) or any(line.key in QUANTITIES and line.value for line in draft.map):
+            return draft
+        if not is_workbook(path) and task_draft(table):
+            return None  # the adapter of task lists drafts it
+        return event_draft(table) or draft
 
     def _may_be(self, path: Path) -> str:
         """Return what a draft says of the time of a table whose map names none."""

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.adapter import Adapter, Draft, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog
 from cyclekit.text.numbers import count
+from cyclekit_adapters.mapped.draft_table import text_draft_table
+from cyclekit_adapters.tasks.draft_tasks import task_draft
 from cyclekit_adapters.tasks.lifecycle import NO_START, TRANSITIONS, paired
 from cyclekit_adapters.tasks.ocel import is_ocel
 from cyclekit_adapters.tasks.task_cells import task_table
@@ -34,6 +36,7 @@ from cyclekit_adapters.text.delimited import (
 )
 from cyclekit_adapters.text.text_blocks import encoding_notes, file_encoding, head_lines, head_of
 from cyclekit_adapters.text.text_rows import SET_ASIDE
+from cyclekit_adapters.text.workbook import is_workbook
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -79,6 +82,10 @@ class _TaskList:
         if first in ("{", "["):
             return is_ocel(head) or json_names(head) is not None
         return is_xes(head) if first == "<" else _is_table(head)
+
+    def draft(self, path: Path) -> Draft | None:
+        table = None if is_workbook(path) else text_draft_table(path)
+        return None if table is None else task_draft(table)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         settings = settings_of(options)

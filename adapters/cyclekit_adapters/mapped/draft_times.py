@@ -90,7 +90,9 @@ def found_times(table: DraftTable, names: Mapping[str, Name], motion: TimeEviden
         motion: What the other columns say of each of its times.
     """
     written = _written(table, names)
-    others = [(time.columns[0], _seconds(table, time), is_dated(time.patterns[0])) for time in written if time.decided]
+    others = [
+        (time.columns[0], seconds_of(table, time), is_dated(time.patterns[0])) for time in written if time.decided
+    ]
     split = _split(table, names)
     taken = {column for time in (*split, *written) for column in time.columns}
     counts = [name for name in names.values() if name.column not in taken and name.column in table.numbers]
@@ -200,7 +202,7 @@ def _patterned(table: DraftTable, columns: tuple[str, ...]) -> FoundTime | None:
     return FoundTime(columns, patterns=forms, zoned=zoned, why=f"written as {sample[0][:30]!r}") if forms else None
 
 
-def _seconds(table: DraftTable, time: FoundTime) -> Vector:
+def seconds_of(table: DraftTable, time: FoundTime) -> Vector:
     """Return the seconds of a time in text, shape (N,); NaN where it is in another form."""
     frame = pl.DataFrame({"text": _texts(table, time.columns)})
     when = frame.select(written_seconds(pl.col("text"), time.patterns[0], None)).to_series()

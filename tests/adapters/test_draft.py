@@ -401,6 +401,20 @@ def test_of_several_lines_above_the_rows_the_one_of_different_words_has_the_name
     assert read.set_aside.is_empty()
 
 
+@pytest.mark.parametrize("mark", [";", ","])
+def test_a_table_with_a_line_for_each_series_is_read_with_its_names_and_units(tmp_path, mark):
+    log, decimal = tmp_path / "log.csv", "," if mark == ";" else "."
+    told = [("Zeit", "ms", [f"{10 * i}.5" for i in WHOLE]), ("tcp X", "mm", [f"{400 + i}.5" for i in WHOLE]),
+            ("tcp Y", "mm", ["250.5"] * ROWS), ("Warnfeld", "", map(str, FLIPS))]  # fmt: skip
+    proposed = draft(log, "".join(mark.join([*line[:2], *line[2]]).replace(".", decimal) + "\n" for line in told))
+    assert asked(proposed) == set()
+    assert values(proposed)["tags"] == ["Warnfeld"]
+    read = ingested(tmp_path, proposed, log)
+    assert read.robot["t_s"].to_list() == pytest.approx([0.01 * i + 0.0005 for i in WHOLE])
+    assert read.robot["tcp_x_m"].to_list() == pytest.approx([0.4005 + 0.001 * i for i in WHOLE])
+    assert read.set_aside.is_empty()
+
+
 def test_a_date_and_a_time_of_day_are_known_by_their_cells(tmp_path):
     log = tmp_path / "log.csv"
     rows = [f"2024/05/14,06:30:{i:02},{v:.4f},{v:.4f}" for i, v in enumerate(MOVES)]

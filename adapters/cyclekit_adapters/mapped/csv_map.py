@@ -34,6 +34,7 @@ class CsvMap:
 
     Attributes:
         sheet: Sheet of an Excel workbook; None = the first one that holds a table.
+        transposed: Each line is a series, its name first.
         columns: Column names of a table without a header line.
         time: Column of the time, or of date and time of day, or of its parts (seconds and nanoseconds).
         time_unit: Unit of a numeric time, or of each of its parts, the largest first (`times.units`), or `frame`; empty
@@ -55,6 +56,7 @@ class CsvMap:
     decimal: str = "."
     encoding: str | None = None
     skip_rows: int = 0
+    transposed: bool = False
     columns: tuple[str, ...] = ()
     time: tuple[str, ...] = ()
     time_unit: tuple[str, ...] = ()
@@ -195,6 +197,8 @@ def _checked(key: str, value: object) -> object:
         wanted, value = "a list of numbers", tuple(map(float, cast("Sequence[float]", value))) if right else value
     elif key == "skip_rows":
         right, wanted = isinstance(value, int) and not isinstance(value, bool) and value >= 0, "a whole number"
+    elif key == "transposed":
+        right, wanted = isinstance(value, bool), "true or false"
     elif key == "scaling_max":
         right, wanted = not isinstance(value, bool) and value in _NUMBERS[key], "1 (fraction) or 100 (percent)"
     else:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit_adapters.mapped.draft_names import UNITS, name_of
+from cyclekit_adapters.mapped.map_table import transposed
 from cyclekit_adapters.mapped.sheets import Workbook, rows_of
 from cyclekit_adapters.text.encodings import WINDOWS
 from cyclekit_adapters.text.header_line import has_decimal_comma
@@ -91,10 +92,13 @@ def text_draft_table(path: Path) -> DraftTable | None:
     lines, keys = draft_lines(path)
     marks = [mark for mark in DELIMITERS if mark == "\\s+" or any(mark in line for line in lines)]
     found = [rows for mark in marks if (rows := _rows_by(lines, mark)) is not None]
+    if not any(rows.header is not None for rows in found):
+        found += [rows for mark in marks if mark != "\\s+" and (rows := _transposed(lines, mark)) is not None]
     if not found:
         return None
     best = max(found, key=lambda rows: (rows.header is not None, rows.values, rows.mark != "\\s+"))
-    return replace(_table(best, {**keys, "delimiter": DELIMITERS[best.mark]}), before_s=file_date(path))
+    keys |= {"delimiter": DELIMITERS[best.mark]} | ({"transposed": True} if best.is_transposed else {})
+    return replace(_table(best, keys), before_s=file_date(path))
 
 
 def draft_lines(path: Path) -> tuple[list[str], dict[str, object]]:
@@ -131,8 +135,8 @@ class _Rows:
     names are those that differ from each other and are no units; the others' line of most units has the units.
     """
 
-    def __init__(self, mark: str, lines: list[list[str]]) -> None:
-        self.mark, self.lines = mark, lines
+    def __init__(self, mark: str, lines: list[list[str]], *, is_transposed: bool = False) -> None:
+        self.mark, self.lines, self.is_transposed = mark, lines, is_transposed
         widths = Counter(len(cells) for cells in lines if sum(map(_is_value, cells)) > (len(cells) == 1))
         self.width = widths.most_common(1)[0][0] if widths else 0
         columns = zip_longest(*(cells[: self.width] for cells in lines if self._fits(cells)), fillvalue="")
@@ -181,6 +185,16 @@ def _rows_by(lines: Sequence[str], mark: str) -> _Rows | None:
     return rows if usable and len(rows.body) >= 0.5 * (len(rows.lines) - _LINES_SEARCHED) else None
 
 
+def _transposed(lines: Sequence[str], mark: str) -> _Rows | None:
+    """Return the table of which each line is a series, a word and values; None if the lines are none."""
+    cells = [[cell.strip() for cell in fields_of(line, mark)] for line in lines if line.strip()]
+    named = [row[0] for row in cells if row[0] and not _is_value(row[0])]
+    if not 2 <= len(named) == len(set(named)) == len(cells) <= _LINES_SEARCHED:
+        return None
+    rows = _Rows(mark, transposed(cells), is_transposed=True)
+    return rows if rows.header == 0 and rows.values else None
+
+
 def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
     keys, header = dict(keys), rows.header
     if header is None:
@@ -189,7 +203,9 @@ def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
         said = [*rows.named(header), *[""] * rows.width]
         names = unique(said[: max(len(_trimmed(rows.named(header))), rows.filled)])
     beside = header is None or rows.is_commented(header) or len(_trimmed(rows.named(header))) < rows.filled
-    if header is None or beside or any(any(cells) for cells in rows.lines[header + 1 : rows.first]):
+    if rows.is_transposed:
+        pass  # what is between the names and the first values is skipped
+    elif header is None or beside or any(any(cells) for cells in rows.lines[header + 1 : rows.first]):
         keys |= {"columns": list(names)} | ({"skip_rows": rows.first} if rows.first else {})
     else:
         keys |= {"skip_rows": header} if header else {}

@@ -8,17 +8,27 @@ from __future__ import annotations
 
 import codecs
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Protocol
 
-from cyclekit.errors import ConfigError, DamagedLog
+from cyclekit.errors import ConfigError, DamagedLog, LogError
 from cyclekit_adapters.mapped.csv_map import WHERE
 from cyclekit_adapters.mapped.map_columns import unresolved
-from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of, header_names, read_blocks, unique
+from cyclekit_adapters.text.delimited import (
+    TextLayout,
+    delimiter_of,
+    fields_of,
+    header_names,
+    read_blocks,
+    row_blocks,
+    unique,
+)
 from cyclekit_adapters.text.header_line import names_in
-from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
+from cyclekit_adapters.text.text_blocks import blocks_of, file_encoding, head_lines
+from cyclekit_adapters.text.text_rows import CELL
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from cyclekit_adapters.mapped.csv_map import CsvMap
@@ -26,6 +36,8 @@ if TYPE_CHECKING:
 
 _LINES_SEARCHED = 50  # for a header that is not in the expected line
 _ROWS_LOOKED_AT = 50
+_MAX_BYTES = 1 << 28
+"""Maximum size of a transposed table: a size."""
 
 
 class MapTable(Protocol):
@@ -101,7 +113,66 @@ class TextTable:
         )
 
 
-def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTable:
+@dataclass(frozen=True)
+class TransposedTable:
+    """A text table whose lines are series, held in memory as a whole; its rows are the columns of the file."""
+
+    path: Path
+    layout: TextLayout
+    rows: list[list[str]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the series."""
+        return self.layout.names
+
+    @property
+    def first_rows(self) -> list[list[str]]:
+        """Cells of the first rows."""
+        return self.rows[:_ROWS_LOOKED_AT]
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Form and encoding."""
+        return {"form": "each line is a series: a row is a column of the file", "encoding": self.layout.encoding}
+
+    def cure(self, _wanted: Collection[str], _mapping: CsvMap) -> str:
+        """Return which series exist."""
+        return f"Series: {', '.join(name[:40] for name in self.names[:60])}."
+
+    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
+        """Yield the rows."""
+        lines = "".join(f"{CELL.join(row)}\n" for row in self.rows).encode()
+        layout = replace(self.layout, names=names, delimiter=CELL, header_lines=0, quotes=False)
+        yield from row_blocks(
+            [lines],
+            layout,
+            numbers=wanted.numbers,
+            texts=wanted.texts,
+            required=wanted.required,
+            any_of=wanted.any_of,
+        )
+
+
+def transposed(lines: Iterable[Sequence[str]]) -> list[list[str]]:
+    """Return the cells of lines column by column; missing ones are empty."""
+    return [list(cells) for cells in zip_longest(*lines, fillvalue="")]
+
+
+def _transposed_table(path: Path, mapping: CsvMap, encoding: str, delimiter: str) -> TransposedTable:
+    if path.stat().st_size > _MAX_BYTES:
+        cause = f"a transposed table of more than {_MAX_BYTES >> 20} MiB, which is held in memory as a whole"
+        raise LogError(path, cause, cure="Export it with a line for each time.")
+    text = b"".join(blocks_of(path, encoding, skip_lines=mapping.skip_rows)).decode()
+    lines = [[cell.strip() for cell in fields_of(line, delimiter)] for line in text.splitlines() if line.strip()]
+    head, *rows = transposed(lines)
+    names = unique(mapping.columns or head)
+    begin = next((at for at, row in enumerate(rows) if any(map(str.isdigit, "".join(row)))), len(rows))
+    layout = TextLayout(names, delimiter, 0, decimal_comma=mapping.decimal == ",", encoding=encoding)
+    return TransposedTable(path, layout, [row for row in rows[begin:] if any(row)])
+
+
+def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTable | TransposedTable:
     """Return a text table with the layout given in the map.
 
     Args:
@@ -130,6 +201,8 @@ def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTabl
         raise DamagedLog(path, cause, cure="The header line comes after skip_rows lines.")
     line = lines[mapping.skip_rows]
     delimiter = mapping.separator() or _delimiter(line, mapping, wanted)
+    if mapping.transposed:
+        return _transposed_table(path, mapping, encoding, mapping.separator() or delimiter_of(line, ",;\t"))
     names = unique(mapping.columns) if mapping.columns else names_in(path, line, delimiter)
     skipped = mapping.skip_rows + (not mapping.columns)
     comma = mapping.decimal == ","

@@ -161,3 +161,6 @@ def test_the_list_of_commands_holds_whole_sentences_in_80_columns() -> None:
         listed = FRAME.get_help(context).partition("Commands:")[2]
     assert all(name in listed for name in COMMANDS)
     assert "..." not in listed
+    daily, tools = listed.split("Tools:")
+    assert "  estimate " in daily
+    assert "  convert " in tools

@@ -35,12 +35,14 @@ if TYPE_CHECKING:
 
     import typer
 
-ORDER = (
-    *("demo", "simulate", "init", "run", "calibrate", "ingest", "inspect", "trace", "convert"),
-    *("levels", "train", "evaluate", "estimate", "gate", "plan", "zones", "whatif", "replay", "report"),
-    *("fleet", "export", "adapters"),
+DAILY = (
+    *("demo", "init", "run", "inspect", "ingest", "train", "estimate"),
+    *("gate", "plan", "whatif", "zones", "replay", "report"),
 )
-"""Commands in the order of the workflow; each is a module of this package with a function of the same name."""
+TOOLS = ("fleet", "calibrate", "trace", "convert", "levels", "evaluate", "export", "simulate", "adapters")
+ORDER = (*DAILY, *TOOLS)
+"""Commands of every day and tools, in the order of the workflow; each is a module of this package with a function of
+the same name."""
 MODULES = {"run": "run_project"}
 """Modules whose name differs from the command: a module `run` would hide the function `run` of this package."""
 
@@ -153,7 +155,7 @@ def app(wanted: Sequence[str] = ORDER) -> typer.Typer:
     from cyclekit.cli.in_project import InProject
     from cyclekit.cli.options import new_app
 
-    commands = new_app()
+    commands = new_app(tools=TOOLS)
     for command in wanted:
         module = import_module(f"cyclekit.cli.{MODULES.get(command, command)}")
         epilog = f"\b\nExample:\n  {module.EXAMPLE}"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperGroup
 
 from cyclekit.text.durations import seconds_in
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.parallel.engine import Engine
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
@@ -77,10 +80,28 @@ def engine_of(name: Literal["local", "ray"], jobs: int | None, address: str | No
     return Engine(name, jobs, address)
 
 
-def new_app() -> typer.Typer:
-    """Return the command line without commands; its help is plain text, the same in a terminal and in a file."""
+def new_app(tools: Sequence[str] = ()) -> typer.Typer:
+    """Return the command line without commands; its help is plain text, the same in a terminal and in a file.
+
+    Args:
+        tools: Commands that its help lists below the others.
+    """
+
+    class Commands(TyperGroup):
+        """Lists commands of every day first, tools below them."""
+
+        def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - typer's own
+            known = {name: command for name in self.list_commands(ctx) if (command := self.get_command(ctx, name))}
+            for title, rest in (("Commands", False), ("Tools", True)):
+                some = {name: command for name, command in known.items() if (name in tools) is rest}
+                width = formatter.width - 6 - max(map(len, known), default=0)
+                if some:
+                    with formatter.section(title):
+                        formatter.write_dl([(name, one.get_short_help_str(width)) for name, one in some.items()])
+
     frame = typer.Typer(
         name="cyclekit",
+        cls=Commands,
         help=(
             "Cycle times of human-robot cells, estimated from their logs.\n\n"
             "Workflow: ingest logs, train a model on the dataset, estimate sequences; then report and replay. "

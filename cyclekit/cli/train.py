@@ -18,7 +18,7 @@ from cyclekit.cli.options import (
     whole_numbers,
 )
 from cyclekit.cli.terminal import Terminal
-from cyclekit.text.numbers import fixed, percent, scientific, signed_percent
+from cyclekit.text.numbers import compact, duration, fixed, percent, signed_percent
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
@@ -205,18 +205,23 @@ def summary(card: TrainingCard) -> str:
     from cyclekit.dataset.cards import SplitCard
 
     metrics, split = card.metrics, card.split or SplitCard()
-    levels = "levels " + (", ".join(fixed(level.value, 2) for level in card.levels or ()) or "none found")
+    levels = ", ".join(compact(100.0 * level.value, 4) for level in card.levels or ())
+    levels = f"levels {levels} %" if levels else "no levels found"
     levels = "continuous" if card.rule is not None and card.rule.law is not None else levels
-    held_out = "nothing"
+    held_out = "nothing was held out to judge it"
     if metrics is not None:
-        named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy, 1)} of levels predicted correctly"
-        held_out = f"MSE {scientific(metrics.mse_mean)}, mean absolute error {fixed(metrics.mae, 4)}{named}"
+        named = "" if metrics.accuracy is None else f"the level is right in {percent(metrics.accuracy, 1)} of samples, "
+        held_out = f"there {named}the speed off by {percent(metrics.mae, 2)} on average"
     rule = "" if card.rule is None else "".join(f"\n  {line}" for line in rule_lines(card.rule))
+    what = {
+        "ahead": f"speed {duration(card.horizon_s or 0.0)} ahead",
+        "average": f"mean speed over {duration(card.horizon_s or 0.0)}",
+    }
     return (
-        f"{card.network} for problem {card.problem}, speed scaling: {levels}\n"
+        f"{what.get(card.problem or "", 'speed near people')}: {levels} ({card.network})\n"
         f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} for training, "
         f"{len(split.validation)} for validation, {len(split.test)} held out\n"
-        f"  held out: {held_out}{rule}"
+        f"  {held_out}{rule}"
     )
 
 

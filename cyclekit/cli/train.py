@@ -218,7 +218,7 @@ def summary(card: TrainingCard) -> str:
         "average": f"mean speed over {duration(card.horizon_s or 0.0)}",
     }
     return (
-        f"{what.get(card.problem or "", 'speed near people')}: {levels} ({card.network})\n"
+        f"{what.get(str(card.problem), 'speed near people')}: {levels} ({card.network})\n"
         f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} for training, "
         f"{len(split.validation)} for validation, {len(split.test)} held out\n"
         f"  {held_out}{rule}"

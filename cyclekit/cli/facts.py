@@ -161,7 +161,8 @@ def _gaps(gaps: Sequence[Gap]) -> str:
 
 def _dataset(found: DatasetDescription) -> str:
     complete = found.executions - found.executions_complete
-    cut = f" ({complete} cut by the start or the end of a log)" if complete else ""
+    why = "with a task without an end" if found.task_list else "cut by the start or the end of a log"
+    cut = f" ({complete} {why})" if complete else ""
     head = [
         f"{found.path}: dataset, schema version {found.schema_version}",
         f"  executions  {found.executions}{cut}, {duration(found.duration_s)} in all",

@@ -14,7 +14,7 @@ import polars as pl
 
 from cyclekit.estimate.finding import Finding
 from cyclekit.estimate.statistics.resample import Z95
-from cyclekit.learning.interludes import find_interludes
+from cyclekit.learning.interludes import AGAIN, find_interludes
 from cyclekit.text.numbers import signed_percent
 
 if TYPE_CHECKING:
@@ -69,6 +69,8 @@ def with_interludes(
                 if again
                 else f"the logs have `{one.task}` {one.times} times before {one.visits} tasks such as `{one.before[0]}`"
             )
+            if one.task.endswith(AGAIN):
+                text = f"rework: {one.times} of {one.visits} executions do {one.task}"
             told = f"{text}; this order has none: {signed_percent(part_s / entry.expected_s, 1)}"
             findings.append(Finding("interludes", "amber", told))
             more_s += ways * most_s(one)

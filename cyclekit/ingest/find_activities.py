@@ -62,7 +62,7 @@ class _Found(NamedTuple):
 
 
 def find_activities(changes: SignalLog) -> tuple[Activity, ...]:
-    """Return the activities that the signals of a log show; none if they show no tasks of a robot."""
+    """Return the activities that the signals of a log show; none if they show no tasks of a robot, or no cycle."""
     signals = {name: changes.stays(name) for name in changes.names(["*"])}
     bits = {name: stays for name, stays in signals.items() if is_bit(stay.name for stay in stays)}
     able = [found for some in _alike(bits) if (found := _as_bits(some, bits)) is not None]
@@ -72,6 +72,8 @@ def find_activities(changes: SignalLog) -> tuple[Activity, ...]:
         return ()
     best = max(robots, key=lambda found: (*found.rank, found.signals))
     cycle, rest = _cycle(best, signals, bits)
+    if cycle is None:
+        return ()
     column = (_pattern(best.signals, signals),) if len(best.signals) > 1 else best.signals
     column = column if all(column) else best.signals
     people = [found for found in able if all(map(is_person, found.signals))]

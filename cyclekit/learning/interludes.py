@@ -25,6 +25,8 @@ HALF = 0.5
 more for each time that a task follows itself, for a repetition. It is 0 for work and 1 for what comes by itself, and
 this is the middle. A statistical level: in the logs of eleven simulated cells 0.25 finds the same, and 0.9 the same but
 for one place, a wait short of a fixture that was taken for a visit."""
+AGAIN = " again"
+"""Added to the names of tasks that are done over again."""
 TINY = 1e-9
 """Sum of squares that is rounding alone: the other tasks tell how often this one is done."""
 
@@ -54,6 +56,38 @@ def find_interludes(agent: str, executions: Iterable[Sequence[tuple[str, float, 
         *(_visited(agent, every, name, free) for name in free),
     ]
     return [one for one in found if one is not None]
+
+
+def find_rework(agent: str, executions: Iterable[Sequence[tuple[str, float]]]) -> list[InterludeCard]:
+    """Return what an agent does over again after other tasks, as a part that failed its test goes back.
+
+    Only where most executions do each task once: else doing it again is the work.
+
+    Args:
+        agent: The agent.
+        executions: Its tasks in each execution in order: name and end, s.
+    """
+    every = [done for done in executions if done]
+    found: dict[str, list[tuple[str, float]]] = {}
+    once = 0
+    for done in every:
+        names, again, more_s = list[str](), list[str](), 0.0
+        for (before, from_s), (name, end_s) in pairwise([("", 0.0), *done]):
+            if name in names and name != before:
+                again.append(name)
+                more_s += end_s - from_s
+            names.append(name)
+        once += len(set(names)) == len(names)
+        if again:
+            found.setdefault(again[0], []).append((", ".join(dict.fromkeys(again)), more_s))
+    if 2 * once <= len(every):
+        return []
+    return [
+        InterludeCard(
+            agent, f"{some[0][0]}{AGAIN}", (first,), len(every), len(some), float(np.mean([s for _, s in some]))
+        )
+        for first, some in found.items()
+    ]
 
 
 def _repeated(agent: str, every: Sequence[Sequence[tuple[str, float, float]]], name: str) -> InterludeCard:

@@ -387,3 +387,38 @@ def test_whole_numbers_of_a_plan_are_read_in_the_unit_that_fits_what_was_done(tm
     log = read(table(tmp_path / "a.csv", "run,agent,task,start,end,planned_start", *rows))
     planned = log.task_list["planned_start_s"] - log.task_list["t_s"][0]
     assert planned.to_list() == pytest.approx([0.0, 5.0, 10.0])
+
+
+@pytest.mark.parametrize(
+    "head", ["order,product,station,start,end", "Auftragsnr;Produkt;Arbeitsplatz;Startzeit;Endzeit"]
+)
+def test_orders_without_an_agent_are_flows_through_stations_and_the_reader_is_told(tmp_path, head):
+    mark = ";" if ";" in head else ","
+    rows = [
+        ("O1", "A", "cut", 0, 40),
+        ("O1", "A", "weld", 45, 90),
+        ("O2", "B", "cut", 50, 80),
+        ("O2", "B", "weld", 95, ""),
+    ]
+    written = [
+        mark.join(
+            [order, product, station, *(f"2025-06-02T06:{s // 60:02}:{s % 60:02}Z" if s != "" else "" for s in at)]
+        )
+        for order, product, station, *at in rows
+    ]
+    (tmp_path / "mes.csv").write_text("\n".join([head, *written, ""]))
+    assert ADAPTER.recognises(tmp_path / "mes.csv")
+    log = ADAPTER.read(tmp_path / "mes.csv", ReadOptions())
+    found = log.task_list.select("execution", "agent_name", "task").rows()
+    assert found == [(order, "part", station) for order, _, station, *_ in rows]
+    assert log.task_list["end_s"].null_count() == 1
+    (said,) = [text for text in log.warnings if "no column says who does a task" in text]
+    assert head.split(mark)[2] in said
+
+
+def test_machines_may_be_the_agents_of_a_flow(tmp_path):
+    text = "order,station,operation,start,end\nO1,M1,cut,0,40\nO1,M2,weld,45,90\n"
+    (tmp_path / "mes.csv").write_text(text)
+    log = ADAPTER.read(tmp_path / "mes.csv", ReadOptions(map={"agent": "station", "time_unit": "s"}))
+    assert log.task_list.select("agent_name", "task").rows() == [("M1", "cut"), ("M2", "weld")]
+    assert not [text for text in log.warnings if "no column says who" in text]

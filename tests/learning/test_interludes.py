@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cyclekit.learning.interludes import find_interludes
+from cyclekit.learning.interludes import find_interludes, find_rework
 
 
 def done(order: str, took_s: float = 2.0) -> list[tuple[str, float, float]]:
@@ -51,3 +51,13 @@ def test_what_an_interlude_saves_on_the_next_way_is_subtracted() -> None:
 )
 def test_work_of_any_length_has_no_interludes(orders: tuple[str, ...]) -> None:
     assert find_interludes("robot", [done(order) for order in orders]) == []
+
+
+def test_what_goes_back_after_its_test_is_rework_where_most_do_not() -> None:
+    def ends(order: str) -> list[tuple[str, float]]:
+        return [(name, 10.0 * number) for number, name in enumerate(order, 1)]
+
+    (found,) = find_rework("part", [ends(order) for order in ("cwpt", "cwptwpt", "cwpt", "cwpt", "cwptpt")])[:1]
+    assert (found.task, found.before, found.visits, found.times) == ("w, p, t again", ("w",), 5, 1)
+    assert found.took_s == pytest.approx(30.0)
+    assert find_rework("robot", [ends(order) for order in ("papb", "papb", "pbpa", "pa")]) == []

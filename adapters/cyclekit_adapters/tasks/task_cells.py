@@ -15,7 +15,7 @@ import polars as pl
 from cyclekit.adapter import is_person
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import MOST_FAILED, TASK_LIST, conform
-from cyclekit_adapters.tasks.task_columns import NEEDED, TIMES
+from cyclekit_adapters.tasks.task_columns import FLOW, NEEDED, TIMES
 from cyclekit_adapters.tasks.task_times import cleaned, with_seconds
 from cyclekit_adapters.text.text_rows import UNDECODED
 
@@ -70,6 +70,8 @@ def task_table(
         DamagedLog: No row is usable.
     """
     cells = cells.with_columns(cleaned(key) for key in columns)
+    if "agent" not in columns:
+        cells = cells.with_columns(pl.lit(FLOW).alias("agent"))
     timed, clocks = with_seconds(path, cells, columns, settings, decimal_comma=decimal_comma)
     good, aside = _trusted(timed)
     if good.is_empty():
@@ -93,6 +95,7 @@ def task_table(
     people = [name for name, kind in kinds.items() if kind == "operator"]
     warnings = [
         *_warnings(rows, people),
+        *([] if "agent" in columns else [_of_flow(columns)]),
         *_plan_warnings(good),
         *clocks.warnings,
     ]
@@ -141,6 +144,14 @@ def _outcome() -> pl.Expr:
     word = pl.col("outcome").str.to_lowercase()
     known = pl.when(word.is_in(DONE)).then(pl.lit("done")).when(word.is_in(FAILED)).then(pl.lit("failed"))
     return known.otherwise(pl.col("outcome")).alias("outcome")
+
+
+def _of_flow(columns: Mapping[str, str]) -> str:
+    return (
+        f"no column says who does a task: {columns['task']!r} is where the part of each {columns['execution']!r} is, "
+        "one flow. If these are machines that each do tasks, say so in the cell file: "
+        f'map = {{ agent = "{columns["task"]}", task = "COLUMN" }}'
+    )
 
 
 def _warnings(rows: pl.DataFrame, people: Sequence[str]) -> list[str]:

@@ -56,6 +56,17 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "instance": ("conceptinstance", "activityinstanceid", "activityinstance", "taskinstance", "taskinstanceid"),
 }  # fmt: skip
 """Field -> usual column names, in lower case with letters and digits only, the most likely first."""
+FLOW = "part"
+"""The agent of a list that names none, but orders and what is done to each: the part goes from task to task."""
+_OF_FLOW: Mapping[str, tuple[str, ...]] = {
+    "task": ("station", "stationname", "stationid", "workstation", "workcenter", "workcentre", "machine", "machinename",
+             "machineid", "maschine", "arbeitsplatz", "platz", "anlage", "resourcegroup"),
+    "execution": ("order", "orderno", "ordernr", "ordernumber", "orderid", "workorder", "workorderid",
+                  "productionorder", "auftrag", "auftragsnr", "auftragsnummer", "fertigungsauftrag", "serial",
+                  "serialno", "serialnumber", "seriennummer", "sn", "lot", "lotid", "batch", "batchid", "charge",
+                  "partid", "unitid", "job", "jobid"),
+}  # fmt: skip
+"""The same for a list without agents, as an MES writes it."""
 _OF_EVENTS = ("time", "datetime", "date", "zeit", "zeitstempel", "zeitpunkt")
 """Names of the time of a row that is the start or the end of a task, which its transition tells."""
 NEEDED = ("agent", "task", "start", "end")
@@ -134,6 +145,9 @@ def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> 
         if key not in found and column is not None:
             found[key] = column
             taken.add(column)
+    for key, usual in {} if "agent" in found else _OF_FLOW.items():
+        free = [stems[word] for word in usual if word in stems and stems[word] not in found.values()]
+        found |= {key: free[0]} if key not in found and free else {}
     if "transition" in found and not {"start", "end"} & set(found):
         found |= dict([("end", stems[word]) for word in _OF_EVENTS if word in stems][:1])
     if "end" in found and "duration" not in (given or {}):
@@ -142,8 +156,8 @@ def columns_in(names: Iterable[str], given: Mapping[str, str] | None = None) -> 
 
 
 def missing_in(found: Mapping[str, str]) -> list[str]:
-    """Return the fields of NEEDED that have no column."""
-    instead = {"end": "duration", "start": "transition"}
+    """Return the fields of NEEDED that have no column; orders need no agent, as each is a flow of its own."""
+    instead = {"end": "duration", "start": "transition"} | ({"agent": "execution"} if "start" in found else {})
     return [key for key in NEEDED if key not in found and instead.get(key) not in found]
 
 

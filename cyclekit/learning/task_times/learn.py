@@ -13,7 +13,7 @@ from cyclekit.config import Wait
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, JointCard, PaceCard, TaskModelCard, TaskTimesCard
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, UnknownName, command_line
-from cyclekit.learning.interludes import find_interludes
+from cyclekit.learning.interludes import find_interludes, find_rework
 from cyclekit.learning.task_times.clocks import in_one_clock
 from cyclekit.learning.task_times.joint import joint_tasks, marked
 from cyclekit.learning.task_times.pace import pace_drift
@@ -183,6 +183,8 @@ def _learned(
     starts = {agent: learn_starts(runs, agent, told[agent]) for agent in sorted({agent for agent, _ in pairs})}
     starts = needed_together(starts)
     interludes = tuple(one for agent in agents for one in find_interludes(agent, _done(runs, agent)))
+    ends = {agent: [[(done.task, done.end_s) for done in run.tasks.get(agent, ())] for run in runs] for agent in agents}
+    interludes += tuple(one for agent in agents for one in find_rework(agent, ends[agent]))
     tasks = tuple(
         _task(*pair, starts[pair[0]][pair[1]], rates[pair], pace.get(pair[0]), joint.get(pair)) for pair in pairs
     )

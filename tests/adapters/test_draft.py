@@ -356,6 +356,15 @@ def test_an_empty_last_column_is_a_column(tmp_path, empty):
     assert ingested(tmp_path, proposed, log).robot["tcp_x_m"].to_list() == pytest.approx(MOVES)
 
 
+def test_rows_that_leave_out_their_last_cells_keep_the_names(tmp_path):
+    log = tmp_path / "log.csv"
+    rows = [f"{0.01 * i:.2f},{v:.4f},{v:.4f}{',E7' if i == 30 else ''}" for i, v in enumerate(MOVES)]
+    proposed = draft(log, "\n".join(["t_s,tcp_x,tcp_y,error", *rows, ""]))
+    assert asked(proposed) == set()
+    read = ingested(tmp_path, proposed, log)
+    assert (read.robot.height, read.set_aside["source_row"].to_list()) == (ROWS - 1, [32])
+
+
 def test_of_series_with_a_time_each_those_of_the_first_time_are_read_and_the_others_named(tmp_path):
     log = tmp_path / "log.csv"
     later = [f"{0.5 * i:.1f}" if i < 20 else "" for i in WHOLE]

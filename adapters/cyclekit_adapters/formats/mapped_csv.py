@@ -226,9 +226,8 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
     others = [column for column in (*mapping.scaling, mapping.slider, mapping.speed, *whole_numbers) if column]
     numbers = [*places.values(), *others, *mapping.joints]
     if not numbers:
-        raise ConfigError(
-            f"{WHERE}: no quantity of the robot is mapped", cure="Map x, y, z or joints, scaling or speed."
-        )
+        cure = 'Map x, y, z or joints, scaling or speed; a draft asks for them in lines that begin with "# ?".'
+        raise ConfigError(f"{WHERE}: no quantity of the robot is mapped", cure=cure)
     state = [mapping.state] if mapping.state else []
     return list(dict.fromkeys([*number_time, *numbers])), list(dict.fromkeys([*text_time, *state, *mapping.tags])), time
 

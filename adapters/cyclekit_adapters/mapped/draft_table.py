@@ -169,14 +169,18 @@ class _Rows:
     def _may_be_names(self, at: int) -> bool:
         cells = self.named(at)
         non_empty = [cell for cell in cells if cell]
-        whole = len(cells) == self.width or self.filled <= len(_trimmed(cells)) <= self.width
+        whole = self._is_as_wide(cells) or (self.mark != "\\s+" and len(_trimmed(cells)) > self.width)
         return whole and len(non_empty) > 1 and sum(map(_is_value, non_empty)) < 0.3 * len(non_empty)
 
-    def _as_names(self, cells: list[str]) -> tuple[bool, bool, bool]:
-        """Return what speaks for names: they differ and are no units, there is one for each column, a word says so."""
+    def _is_as_wide(self, cells: list[str]) -> bool:
+        """Return whether a line has a cell for each column; a longer one is of rows that leave out their last cells."""
+        return len(cells) == self.width or self.filled <= len(_trimmed(cells)) <= self.width
+
+    def _as_names(self, cells: list[str]) -> tuple[bool, bool, bool, bool]:
+        """Return what speaks for names: as many as columns, no units and different, few empty, a word that says so."""
         non_empty = [cell.lower() for cell in cells if cell]
         differ = len(set(non_empty)) == len(non_empty) and 2 * sum(map(_is_unit, cells)) < len(non_empty)
-        return differ, len(non_empty) >= 0.8 * self.filled, name_of(cells[0]).says(_SAYS_NAMES)
+        return self._is_as_wide(cells), differ, len(non_empty) >= 0.8 * self.filled, name_of(cells[0]).says(_SAYS_NAMES)
 
 
 def _rows_by(lines: Sequence[str], mark: str) -> _Rows | None:
@@ -201,8 +205,8 @@ def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
         names: tuple[str, ...] = tuple(f"#{number}" for number in range(1, rows.width + 1))
     else:
         said = [*rows.named(header), *[""] * rows.width]
-        names = unique(said[: max(len(_trimmed(rows.named(header))), rows.filled)])
-    beside = header is None or rows.is_commented(header) or len(_trimmed(rows.named(header))) < rows.filled
+        names = unique(said[: min(max(len(_trimmed(rows.named(header))), rows.filled), rows.width)])
+    beside = header is None or rows.is_commented(header) or len(_trimmed(rows.named(header))) != len(names)
     if rows.is_transposed:
         pass  # what is between the names and the first values is skipped
     elif header is None or beside or any(any(cells) for cells in rows.lines[header + 1 : rows.first]):

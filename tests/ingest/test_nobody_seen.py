@@ -49,6 +49,25 @@ def test_a_place_that_stands_for_nobody_is_unknown_counted_and_named(value: floa
     assert found.set_aside is None
 
 
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("cuts", [[1000], [180, 333, 487]])
+def test_positions_that_a_tracker_holds_until_it_sees_the_person_elsewhere_are_said(axes: int, cuts: list[int]):
+    t = np.arange(1000) / 25
+    places = np.column_stack([1.5 + 1.2 * np.sin(t), 2.0 + 1.2 * np.cos(t), 0.9 + 0.01 * np.sin(9 * t)])[:, :axes]
+    for first, end in ((100, 180), (400, 475), (800, 824)):  # 3.2 s, 3 s, and less than 1 s
+        places[first:end] = places[first]
+    table, ends = people(places), np.cumsum(cuts)
+    parts = [Recording(people=table[end - cut : end]) for cut, end in zip(cuts, ends, strict=True)]
+    said, _ = concat_parts(examined_parts(parts)).warnings  # the jumps themselves are said, too
+    assert "at least 1 s and then jumps, 2 time(s), 6.1 s in all" in said
+
+
+def test_who_stands_where_a_tracker_rounds_and_walks_on_is_not_held():
+    t = np.arange(1000) / 25
+    way = np.round(np.interp(t, [0, 10, 12, 30, 33, 40], [0, 0, 2.5, 2.5, 0.5, 0.5]), 2)
+    assert examined(Recording(people=people(np.column_stack([1 + way, 2 + way])))).warnings == ()
+
+
 def robot(values: np.ndarray, names: tuple[str, ...]) -> Recording:
     """Rows of a robot at 25 Hz, with values (N, len(names))."""
     columns = dict(zip(names, values.T, strict=True))

@@ -146,7 +146,7 @@ def test_millimetres_read_as_metres_are_named_with_the_cure_and_not_mended():
         ),
         ("tcp_speed_m_s", np.linspace(0, 400, 300), "likely mm/s"),
         ("q1_rad", np.linspace(-90, 90, 300), 'probably degrees; set joint_unit = "deg"'),
-        ("t_s", np.arange(300) * 8.0, "milliseconds read as seconds"),
+        ("t_s", np.arange(300) * 8.0, "robot rows lie 8 s apart"),
     ],
 )
 def test_a_slip_of_units_is_named_with_the_cure(column: str, values: Any, said: str):

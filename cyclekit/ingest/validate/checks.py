@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.ingest.validate.held_positions import HeldPositions
 from cyclekit.ingest.validate.lost_rows import REPEATED
 from cyclekit.ingest.validate.motion import PERSON, TCP, WRONG_UNIT, Kind, Places
-from cyclekit.ingest.validate.placeholders import Placeholders
+from cyclekit.ingest.validate.placeholders import Placeholders, rows_of
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
 from cyclekit.schema import is_joint
 from cyclekit.text.numbers import compact, fixed, given
@@ -234,7 +235,7 @@ class PeopleChecks(Checks):
     def __init__(self) -> None:
         super().__init__("a person")
         self._places = Places(PERSON)
-        self._no_person = Placeholders(PERSON.columns, _NOBODY)
+        self._no_person, self._held = Placeholders(PERSON.columns, _NOBODY), HeldPositions()
 
     def neighbours(self, frame: pl.DataFrame) -> int:
         """Return the number of rows that include the neighbours of every person present."""
@@ -249,7 +250,10 @@ class PeopleChecks(Checks):
         if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # otherwise no time repeats or is garbled
             frame = self._in_order(frame)
             groups = tracks(frame)
-        return placed(self, frame, self._places, groups)
+        frame = placed(self, frame, self._places, groups)
+        here = frame[judged_rows(frame)]
+        self._held.add(column(here, "t_s"), positions(here, PERSON), rows_of(here))
+        return frame
 
     def _in_order(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Set aside repeated times of a person, and single times that do not fit between their neighbours."""
@@ -263,7 +267,7 @@ class PeopleChecks(Checks):
     def warnings(self) -> list[str]:
         """Return the warnings, after the last window."""
         still, others = self._places.warnings()
-        return [*super().warnings(), *self._no_person.warnings(), *others, *still]
+        return [*super().warnings(), *self._no_person.warnings(), *self._held.warnings(), *others, *still]
 
     def impossible(self) -> list[str]:
         """Return those of the warnings that mean that a whole column cannot be as it was read."""

@@ -87,7 +87,7 @@ class Placeholders:
     def _close_to_track(self, frame: pl.DataFrame, at: Vector, odd: Bools) -> Bools:
         """Return a mask of odd rows near the previous or the next position of their person; a robot may have none."""
         close, judged = np.zeros(len(odd), bool), frame[PLACE].to_numpy() != BEFORE
-        for person, rows in _rows_of(frame).items():
+        for person, rows in rows_of(frame).items():
             mine, last = odd[rows], self._last.get(person)
             before, after = _neighbours(mine)
             for other in (before, after):
@@ -101,7 +101,7 @@ class Placeholders:
         return close
 
     def _remember(self, frame: pl.DataFrame, at: Vector, known: Bools) -> None:
-        for person, rows in _rows_of(frame).items():
+        for person, rows in rows_of(frame).items():
             if (seen := rows[known[rows]]).size:
                 self._last[person] = at[:, seen[-1]].copy()  # a view would keep all the other rows
 
@@ -130,7 +130,7 @@ def _means_unknown(values: Vector) -> Bools:
     return np.asarray(nearest <= 1e-12 * np.abs(values))
 
 
-def _rows_of(frame: pl.DataFrame) -> Mapping[str | None, NDArray[np.int64]]:
+def rows_of(frame: pl.DataFrame) -> Mapping[str | None, NDArray[np.int64]]:
     """Return the rows of each person, in order."""
     if "person" not in frame.columns:
         return {None: np.arange(frame.height)}

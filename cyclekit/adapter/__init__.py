@@ -30,6 +30,8 @@ _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 inside = safe_path  # for adapters of folders: a path from a name in the data
 NO_VALUE = "no value in any column that is read, except its time"
 """Reason for which a row is set aside without loss: it holds nothing."""
+CUT_LINE = "the last line has no line end: it was cut while being written"
+"""Reason, or its end, for which the last line of a text is set aside: that alone is no lost tail."""
 TABLES = ("robot", "people", "events", "task_list", "safety", "skeletons", "stamps")
 """Fields of `Recording` that hold tables; ingest stores each under its name."""
 

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from cyclekit.adapter import Recording, TimeUnit
+from cyclekit.adapter import CUT_LINE, Recording, TimeUnit
 from cyclekit.cli import run
 from cyclekit.config import Cell, Source
 from cyclekit.dataset.dataset import Dataset
@@ -160,6 +160,16 @@ def test_what_is_lost_of_a_log_is_said_and_more_than_half_of_it_is_refused(
     assert run(["inspect", str(tmp_path / "d")]) == 0
     shown = " ".join(capsys.readouterr())
     assert ("! robot: " in shown) is (said is not None)
+
+
+def test_the_cut_last_lines_of_a_log_of_several_files_are_no_lost_tail() -> None:
+    rows = {"t_s": np.arange(900) / 100, "tcp_x_m": np.sin(np.arange(900) / 30), "source_row": np.arange(900)}
+    cut = pl.DataFrame({"source_row": [900, 901, 902], "reason": [f"log_{k}.csv: {CUT_LINE}" for k in "abc"]})
+    robot = pl.DataFrame({**rows, "tcp_y_m": 0.2, "tcp_z_m": 0.3})
+    assert examined(Recording(robot=robot, rows_read=903, set_aside=cut)).warnings == ()
+    cut = cut.with_columns(reason=pl.lit("4 fields where the header has 7"))
+    (said,) = examined(Recording(robot=robot, rows_read=903, set_aside=cut, rows_are="line")).warnings
+    assert said.startswith("3 of 903 lines (0.3 %) are set aside, from line 900 to the end: 4 fields")
 
 
 def test_rows_that_hold_nothing_are_no_loss(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.adapter import CUT_LINE
 from cyclekit_adapters.text.block_table import BlockTable, short_lines, table_of
 from cyclekit_adapters.text.parallel_map import parallel_map
 from cyclekit_adapters.text.single_lines import (
@@ -47,7 +48,6 @@ ONE_BY_ONE = 1 << 17
 _BYTES_A_COLUMN = 64
 """The same for each column, bytes: a wide table takes time for each of its columns, however few lines are read."""
 _BLANKS = f"{CELL} \t"
-_CUT = "the last line has no line end: it was cut while being written"
 
 
 @dataclass
@@ -136,7 +136,7 @@ class RowParser:
             yield from self._halved(block[:whole], table)
         if tail := block[whole:]:
             if tail.strip():
-                yield self._rows(_Sorted(aside=[(self.line, _CUT)]), rows_read=1)
+                yield self._rows(_Sorted(aside=[(self.line, CUT_LINE)]), rows_read=1)
                 self.row += 1
             self.line += 1
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import NO_VALUE
+from cyclekit.adapter import CUT_LINE, NO_VALUE
 from cyclekit.text.numbers import percent
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class LostRows:
                 self._first[reason] = min(first, self._first.get(reason, first))
         used = [table["source_row"].max() for name, table in part.tables().items() if name in _ORDERED]
         self._last_used = max((row for row in (self._last_used, *used) if isinstance(row, int)), default=None)
-        lost = [*self._after, *rows["source_row"].drop_nulls()]
+        lost = [*self._after, *rows.filter(~pl.col("reason").str.ends_with(CUT_LINE))["source_row"].drop_nulls()]
         self._after = [row for row in lost if self._last_used is None or row > self._last_used]
 
     def warnings(self) -> list[str]:

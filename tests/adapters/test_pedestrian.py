@@ -118,6 +118,7 @@ def test_places_too_far_apart_for_metres_are_named(tmp_path):
         "1 2 3 4\n5 6 7 8\n",
         "a b c d\n",
         "time,frame,id,x,y\n0,1,2,3,4\n",
+        "Timestamp,id,x,y\n" + "".join(f"{k},1,{k / 100},2.5\n" for k in range(100)),
         "",
         "#\n",
     ],

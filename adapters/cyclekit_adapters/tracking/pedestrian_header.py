@@ -187,7 +187,8 @@ def looks_like_frames(head: str, header: PedestrianHeader) -> bool:
     rows = _rows(head, header)
     good = {(row[0], row[1]): row[2:] for row in rows if len(row) == 4 and _counts_and_places(row)}
     fractions = any(number % 1 for places in good.values() for number in places)
-    return fractions and len(rows) >= 2 and len(good) >= (1.0 - CORRUPT) * len(rows)
+    named = not rows or len(rows[0]) != 4  # the first line holds other names
+    return fractions and not named and len(rows) >= 2 and len(good) >= (1.0 - CORRUPT) * len(rows)
 
 
 def _counts_and_places(row: list[float]) -> bool:

@@ -26,11 +26,11 @@ def stop_at(monkeypatch: pytest.MonkeyPatch, name: str, reads: list[str]) -> Non
     """Let the next ingest be interrupted when it comes to a log."""
     parts = Registered.parts
 
-    def interrupted(entry: Registered, path: Path, options: Any) -> Any:
+    def interrupted(entry: Registered, path: Path, *options: Any) -> Any:
         if path.name == name:
             monkeypatch.setattr(Registered, "parts", parts)
             raise KeyboardInterrupt
-        return parts(entry, path, options)
+        return parts(entry, path, *options)
 
     monkeypatch.setattr(Registered, "parts", interrupted)
 

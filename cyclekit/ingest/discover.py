@@ -197,6 +197,8 @@ def find_all(
     prefixes = _prefixes(roots)
     seen: set[str] = set()
     for root in roots:
+        if (kind := kind_of_path(root)) in ("a dataset", "a model"):
+            raise LogError(root, f"is {kind}, and no log", cure="Give the logs, as they came from robot and tracker.")
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, prefixes[base], cell, follow_links=follow_links):
             if (here := real_path(path)) in seen:  # given as a file, and again by its folder
@@ -224,8 +226,6 @@ def find_all(
         cause = f"holds no log that can be read ({_some(not_read)})" if not_read else "holds no file"
         if not not_read and roots[0].suffix == ".toml" and roots[0].is_file():
             cause, cure = "is a cell file, and no log", f"Give the folder of logs, and --cell {roots[0]}."
-        if (kind := kind_of_path(roots[0])) in ("a dataset", "a model"):
-            cause, cure = f"is {kind}, and no log", "Give the logs, as they came from robot and tracker."
         raise unknown if unknown and len(not_read) == 1 else LogError(roots[0], cause, cure=cure)
     return list(logs.values()), not_read
 

@@ -14,7 +14,7 @@ from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.config import Cell, cell_to_toml
 from cyclekit.config.project import PROJECT_FILE, Project, load_project, project_to_toml
 from cyclekit.config.sequences import PlannedTask, TaskSequence
-from cyclekit.config.write import sequence_to_toml
+from cyclekit.config.write import sequence_to_toml, toml_value
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, DatasetError, LogError, OutputError, command_line
 from cyclekit.estimate.what_to_log import doubtful_places
@@ -224,6 +224,34 @@ def first_sequences(dataset: Dataset, project: Project) -> Path | None:
     sequence, count, of = first_sequence(dataset)
     head = f"# Written by cyclekit: order logged most often, in {count} of {of} complete executions. Add your own.\n"
     write_text(file, head + sequence_to_toml(sequence))
+    return file
+
+
+def first_jobs(dataset: Dataset, project: Project) -> Path | None:
+    """Write the jobs file of a project: the work logged most often; None if there is one, or its order is not free.
+
+    The order is taken as free if the robot did the same work in more than one: always from one place to another one,
+    each visited once.
+    """
+    file = Path(project.jobs)
+    if file.exists() or not dataset.positions:
+        return None
+    none = doubtful_places(dataset)
+    logged = [one.places for one in dataset.card.executions if one.whole and not none & set(one.places)]
+    works: dict[tuple[str, str, tuple[str, ...]], Counter[tuple[str, ...]]] = {}
+    for places in logged:
+        between, visits = set(places[1:-1:2]), places[2:-1:2]
+        others = {*visits, places[0], places[-1]} if places else set()
+        if len(between) == 1 and len(set(visits)) == len(visits) > 1 and not between & others:
+            works.setdefault((places[0], places[-1], (*between, *sorted(visits))), Counter())[visits] += 1
+    free = {work: orders for work, orders in works.items() if len(orders) > 1}
+    if not free:
+        return None
+    start, end, (via, *slots) = most = max(free, key=lambda work: free[work].total())
+    count = len(free[most])
+    head = f"# Written by cyclekit: logged in {count} orders. Places that must come first: before = [[FIRST, THEN]]\n"
+    lines = [f"{key} = {toml_value(value)}" for key, value in (("start", start), ("end", end), ("via", via))]
+    write_text(file, head + "\n".join([*lines, f"visit = {toml_value(slots)}", ""]))
     return file
 
 

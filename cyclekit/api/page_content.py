@@ -22,6 +22,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, CyclekitError, EstimateError
 from cyclekit.estimate.answers import CycleEstimates, Refusal
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.plan.task_orders import TaskJobs
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.learning.evaluation.evaluate import Evaluation
 from cyclekit.learning.networks.cell import refuse_other_cell
@@ -74,7 +75,7 @@ def of_tasks(
     data: Dataset,
     sequences: Sequences | None,
     changes: list[Change],
-    jobs: Jobs | Place | None,
+    jobs: Jobs | TaskJobs | Place | None,
     takt_s: float | None,
     earlier: CycleEstimates | None,
 ) -> TaskPageContent:
@@ -137,7 +138,7 @@ class Asked:
         sequences: Sequences | None,
         changes: list[Change],
         tried: list[Tried],
-        jobs: Jobs | Place | None,
+        jobs: Jobs | TaskJobs | Place | None,
         estimates: CycleEstimates | None,
         evaluation: Evaluation | None,
     ) -> PageContent:
@@ -178,7 +179,7 @@ class Asked:
             "refused": refused,
         }
 
-    def _planned(self, jobs: Jobs | Place) -> OrderPlan:
+    def _planned(self, jobs: Jobs | TaskJobs | Place) -> OrderPlan:
         found = plan_order(self.model, self.data, jobs_of(jobs), progress=part_of(self.tell, 0.0, 0.1), **self.given)
         return cast("OrderPlan", found)  # the jobs are places
 

@@ -25,6 +25,7 @@ from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ConfigError
 from cyclekit.estimate.answers import CycleEstimates
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.plan.task_orders import TaskJobs
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.evaluation.evaluate import Evaluation
 from cyclekit.learning.networks.saved import TrainedModel
@@ -65,6 +66,13 @@ class Looks(TypedDict, total=False):
     template: Path | None
 
 
+class Searched(TypedDict, total=False):
+    """The work whose order is searched and the changes that are priced, by the argument names of `write_report`."""
+
+    jobs: Jobs | TaskJobs | Place | None
+    what_if: Sequence[Place | Change | Tried]
+
+
 class _Looks(Looks, total=False):
     """`Looks` with the title, which a fleet and a project set separately."""
 
@@ -79,7 +87,7 @@ def write_report(
     model: TrainedModel | TaskTimesModel | UnseenOperator | Place | None = None,
     sequences: Sequences | None = None,
     what_if: Sequence[Place | Change | Tried] = (),
-    jobs: Jobs | Place | None = None,
+    jobs: Jobs | TaskJobs | Place | None = None,
     takt_s: float | None = None,
     baseline: str | None = None,
     kind: Format | None = None,

@@ -36,7 +36,8 @@ class Project:
         dataset: Folder of the dataset.
         model: Folder of the model.
         sequences: Sequence file to estimate.
-        jobs: Jobs file for `plan`.
+        jobs: Jobs file for `plan`, and for the report if it exists.
+        changes: File of changes that the report prices, if it exists.
         takt: Takt time, such as `105s`.
         baseline: Name of the sequence with which the others are compared.
         estimates: File of the estimates, `.json`, `.csv` or `.xlsx`.
@@ -53,7 +54,8 @@ class Project:
     dataset: _Text = "dataset"
     model: _Text = "model"
     sequences: _Text = "sequences.toml"
-    jobs: _Text | None = None
+    jobs: _Text = "jobs.toml"
+    changes: _Text = "changes.toml"
     takt: Annotated[str | None, Meta(examples=["105s"])] = None
     baseline: _Text | None = None
     estimates: _Text = "estimates.json"
@@ -90,7 +92,7 @@ def load_project(path: Path) -> Project:
     return replace(told, **places, name=name, logs=logs)  # type: ignore[arg-type]  # the names are those of the fields
 
 
-_PLACES = ("cell", "dataset", "model", "sequences", "jobs", "estimates", "report", "template")
+_PLACES = ("cell", "dataset", "model", "sequences", "jobs", "changes", "estimates", "report", "template")
 _SAID = {
     "logs": "files and folders of logs",
     "name": "title of the report; else the name of this folder",
@@ -100,7 +102,8 @@ _SAID = {
     "dataset": "made by ingest",
     "model": "made by train",
     "sequences": "the orders whose cycle time is estimated",
-    "jobs": "the work whose order the command plan searches",
+    "jobs": "the work whose order plan and report search; run drafts it where the logs show that the order is free",
+    "changes": "changes of the cell that the report prices, if this file exists (docs/commands.md)",
     "takt": "takt time: the time in which a part is needed",
     "baseline": "the sequence that others are compared with; else the logged executions",
     "estimates": ".json, .csv or .xlsx",
@@ -127,7 +130,6 @@ _EXAMPLES = {
     "cell": "cell.toml",
     "align_clocks": "logs",
     "pseudonymise": True,
-    "jobs": "jobs.toml",
     "takt": "105s",
     "baseline": "left table first",
     "template": "look",

@@ -13,15 +13,19 @@ from msgspec.structs import replace
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
-from cyclekit.api.init import first_sequences
+from cyclekit.api.init import first_jobs, first_sequences
 from cyclekit.api.report import write_report
 from cyclekit.api.train import train_task_times
 from cyclekit.config.project import PROJECT_FILE, Project, load_project
 from cyclekit.config.sequences import load_sequences
+from cyclekit.config.toml_file import read_toml
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ModelError, NothingPublished, UnknownName
 from cyclekit.estimate.finding import MARKS, worst
+from cyclekit.estimate.plan.jobs import Jobs, load_jobs
+from cyclekit.estimate.plan.task_orders import TaskJobs, load_task_jobs
+from cyclekit.estimate.whatif.change import load_changes
 from cyclekit.fleet.read import FleetCell
 from cyclekit.fleet.stages import (
     SHOWN,
@@ -45,7 +49,7 @@ from cyclekit.text.numbers import fixed
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from cyclekit.api.report import Looks
+    from cyclekit.api.report import Looks, Searched
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.dataset.guard import Kind
     from cyclekit.learning.unseen.model import UnseenOperator
@@ -89,6 +93,22 @@ class ProjectCell(FleetCell):
         project = self.project
         template = None if project.template is None else Path(project.template)
         return {"takt_s": project.takt_s, "baseline": project.baseline, "template": template}
+
+    @property
+    def searched(self) -> Searched:
+        """The work that its report orders and the changes that it prices, if these files exist."""
+        changes = Path(self.project.changes)
+        return {
+            "jobs": _jobs_in(Path(self.project.jobs)),
+            "what_if": load_changes(changes) if changes.is_file() else (),
+        }
+
+
+def _jobs_in(file: Path) -> Jobs | TaskJobs | None:
+    """Return the work to order, as places or as tasks of both agents; None without the file."""
+    if not file.is_file():
+        return None
+    return load_task_jobs(file) if "task" in read_toml(file) else load_jobs(file)
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,7 +232,7 @@ def _estimate(work: CellAtWork) -> tuple[State, str]:
     project, dataset, model = _project(work), dataset_of(work.cell), _model_of_any_kind(work.cell)
     if dataset is None or model is None:
         return "skipped", "there is no dataset" if dataset is None else "there is no model"
-    written = first_sequences(dataset, project)
+    drafted = [file for file in (first_sequences(dataset, project), first_jobs(dataset, project)) if file is not None]
     wanted = load_sequences(Path(project.sequences))
     mark = fingerprint_of(dataset, plain(model.card), asked_for(wanted), project.takt_s)
     ask = partial(estimate_cycles, model, dataset, wanted, out=project.estimates)
@@ -225,7 +245,7 @@ def _estimate(work: CellAtWork) -> tuple[State, str]:
     light = "; ".join(red) or worst(found.findings)
     work.ledger = replace(work.ledger, marks={**work.ledger.marks, "estimate": mark, "light": light})
     means = [light, *(f"{one.name} {fixed(one.expected_s, 1)} s{MARKS[one.level]}" for one in found)]
-    told = [f"wrote {written}"] if written else []
+    told = [f"wrote {' and '.join(map(str, drafted))}"] if drafted else []
     refused = [f"not answered: {one.error.seen}" for one in found.refused]
     return "done", "; ".join([*told, *means[: SHOWN + 1], *refused])
 
@@ -245,12 +265,13 @@ def _report_lists(work: CellAtWork, model: TaskTimesModel, dataset: Dataset) -> 
     """Write the report of a dataset of task lists."""
     cell = work.cell
     wanted = [] if cell.sequences is None else load_sequences(Path(cell.sequences))
-    mark = fingerprint_of(dataset, plain(model.card), asked_for(wanted), cell.looks)
+    searched = cell.searched if wanted else {}
+    mark = fingerprint_of(dataset, plain(model.card), asked_for(wanted), cell.looks, searched)
     if work.ledger.reported == mark and output_exists(cell.report):
         return "unchanged", "nothing is new"
     facts = write_report(
         dataset, cell.report, model=model, sequences=wanted or None, estimates=work.estimates(), progress=work.tell,
-        cell_name=cell.name, **cell.looks,
+        cell_name=cell.name, **cell.looks, **searched,
     )  # fmt: skip
     work.ledger = replace(work.ledger, reported=mark)
     return "done", told_of(facts)

@@ -19,7 +19,7 @@ from cyclekit.storage.safe_path import name_problem
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.api.report import Looks
+    from cyclekit.api.report import Looks, Searched
 
 LEDGER, REPORT = "cell.json", "report.html"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
@@ -81,6 +81,11 @@ class FleetCell:
     @property
     def looks(self) -> Looks:
         """Further arguments of `write_report` for its report."""
+        return {}
+
+    @property
+    def searched(self) -> Searched:
+        """The work that its report orders and the changes that it prices."""
         return {}
 
     def logs(self) -> list[str]:

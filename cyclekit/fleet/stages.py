@@ -216,7 +216,8 @@ def _report(work: CellAtWork) -> tuple[State, str]:
     wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
     dated = {session: day.isoformat() for session, day in days.items()}
     card = None if model is None else plain(model.card)
-    mark = fingerprint_of(dataset, card, asked_for(wanted), dated, cell.looks)
+    searched = cell.searched if model is not None and wanted else {}
+    mark = fingerprint_of(dataset, card, asked_for(wanted), dated, cell.looks, searched)
     if work.ledger.reported == mark and output_exists(cell.report):
         return "unchanged", "nothing is new"
     judged = None if model is None else _judged(model, dataset)
@@ -228,7 +229,7 @@ def _report(work: CellAtWork) -> tuple[State, str]:
         file = scratch.path / REPORT if is_url(cell.report) else Path(cell.report)
         facts = write_report(
             dataset, file, model=model, sequences=asked, evaluation=judged, estimates=estimates, cell_name=cell.name,
-            progress=work.tell, **cell.looks,
+            progress=work.tell, **cell.looks, **searched,
         )  # fmt: skip
         if is_url(cell.report):
             write_text(cell.report, file.read_text(encoding="utf-8"))

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
+from cyclekit.api.init import first_jobs
 from cyclekit.config.project import Project, load_project, project_to_toml
 from cyclekit.config.sequences import load_sequences
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.plan.jobs import load_jobs
 from cyclekit.learning.unseen.saved import holds_unseen
 from cyclekit.text.durations import seconds_in
 from cyclekit_sim import simulate
@@ -35,7 +38,9 @@ def home(logs: Path, dataset: Path, model: Path, tmp_path: Path, monkeypatch: py
 
 
 @pytest.fixture
-def begun(home: Path, logs: Path, cyclekit: Shell) -> Path:
+def begun(home: Path, logs: Path, cyclekit: Shell, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project; no order is searched in it, which takes long."""
+    monkeypatch.setattr("cyclekit.fleet.project.first_jobs", lambda _dataset, _project: None)
     assert cyclekit("init", logs, "--takt", "105s", "--yes").code == 0
     return home
 
@@ -237,9 +242,16 @@ def test_without_a_project_an_argument_left_out_is_missing(
     monkeypatch.chdir(tmp_path)
     assert cyclekit("estimate").code == 2
     Path("cyclekit.toml").write_text('logs = ["logs"]\n', encoding="utf-8")
-    typed = cyclekit("plan")  # the project names no jobs
-    assert typed.code == 2
-    assert "JOBS.toml" in typed.err
+    typed = cyclekit("plan")
+    assert typed.code == 1
+    assert "model: no such folder" in typed.err
+
+
+def test_a_jobs_file_that_is_not_there_is_shown_by_example(begun: Path, cyclekit: Shell) -> None:
+    typed = cyclekit("plan")
+    assert typed.code == 1
+    assert "jobs.toml: no such file" in typed.err
+    assert "visit = [" in typed.err
 
 
 def test_a_file_of_changes_finds_model_sequences_and_dataset_in_the_project(begun: Path, cyclekit: Shell) -> None:
@@ -328,6 +340,45 @@ def test_run_goes_the_whole_way_from_an_empty_folder(
     judged = cyclekit("gate", "--takt", "10min", "--share", "0.5", "--quiet")
     assert judged.code == 2
     assert "6 logged executions are too few" in judged.out
+
+
+@pytest.mark.parametrize(
+    ("orders", "drafted"),
+    [
+        (["h a l a m a r h", "h a m a l a r h"], True),
+        (["h a l a m a r h", "h a l a m a r h"], False),  # always in one order: it may have a reason
+        (["h l m r h", "h m l r h"], False),  # what belongs to one job is not told
+        (["h a l a l a r h", "h a l a r a l h"], False),
+    ],
+)
+def test_the_work_to_order_is_drafted_where_the_logs_show_that_its_order_is_free(
+    orders: list[str], drafted: bool, dataset: Path, tmp_path: Path
+) -> None:
+    made = Dataset.open(dataset)
+    cards = made.card.executions[: len(orders)]
+    logged = [structs.replace(card, places=tuple(order.split())) for card, order in zip(cards, orders, strict=True)]
+    of_orders = Dataset(made.path, structs.replace(made.card, executions=tuple(logged)))
+    file = first_jobs(of_orders, Project(("logs",), jobs=str(tmp_path / "jobs.toml")))
+    if drafted:
+        assert file is not None
+        found = load_jobs(file)
+        assert (found.start, found.via, set(found.visit), found.end) == ("h", "a", {"l", "m", "r"}, "h")
+        assert first_jobs(of_orders, Project(("logs",), jobs=str(file))) is None  # a file is never replaced
+    else:
+        assert file is None
+
+
+def test_run_searches_the_order_and_prices_the_changes_of_the_project(begun: Path, cyclekit: Shell) -> None:
+    slots = sorted({goal for goal in Dataset.open("dataset").tasks()["goal_place"] if goal.startswith("left")})[:2]
+    (begun / "jobs.toml").write_text(f'start = "home"\nvia = "conveyor"\nvisit = {slots}\n'.replace("'", '"'))
+    (begun / "changes.toml").write_text('[[change]]\nname = "half as many visits"\nfrequency = 0.5\n')
+    assert cyclekit("run", "--quiet").code == 0
+    page = (begun / "report.html").read_text("utf-8")
+    assert "order found" in page
+    assert "half as many visits" in page
+    assert set(states(cyclekit("run", "--json")).values()) == {"unchanged"}
+    (begun / "changes.toml").write_text('[[change]]\nname = "a third of the visits"\nfrequency = 0.33\n')
+    assert states(cyclekit("run", "--json"))["report"] == "done"
 
 
 @given(st.floats(0.001, 2000.0), st.sampled_from(["s", "", " s", "min", "ms", "h"]))

@@ -57,7 +57,6 @@ def test_the_cell_file_of_the_documentation_reads_a_kuka_table(tmp_path):
 def test_every_adapter_has_its_section_and_its_rows(name):
     assert f"## {name}:" in DOCS
     assert f"| `{name}` |" in DOCS
-    assert f"| `{name}` |" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

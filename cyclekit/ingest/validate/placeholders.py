@@ -58,7 +58,8 @@ class Placeholders:
         at = np.full((len(axes), frame.height), np.nan)
         for axis, name in enumerate(axes):
             if name in frame.columns:
-                at[axis] = frame[name].cast(pl.Float64).to_numpy()
+                values = frame[name].cast(pl.Float64).to_numpy()
+                at[axis] = np.where(np.isfinite(values), values, np.nan)
         if self.axes:
             x, y, z = at
             weak = np.isnan(z)
@@ -91,7 +92,8 @@ class Placeholders:
             mine, last = odd[rows], self._last.get(person)
             before, after = _neighbours(mine)
             for other in (before, after):
-                near = _way(at[:, rows] - at[:, rows[np.maximum(other, 0)]]) <= MAX_STEP
+                way = _way(at[:, rows] - at[:, rows[np.maximum(other, 0)]])
+                near = (way <= MAX_STEP) | (self.robot & np.isnan(way))  # no jump is seen
                 close[rows] |= mine & (other >= 0) & near
             if last is not None:
                 near = _way(at[:, rows] - last[:, None]) <= MAX_STEP

@@ -46,13 +46,15 @@ SEQUENCES = {
 
 TAKT_S = 100.0
 """Takt time of the demo, s: most logged cycles are within it."""
-JOBS = f"""# Written by cyclekit demo: the same ten boxes, in the order that takes the least time
+JOBS = f"""# Written by cyclekit demo
+# The same ten boxes, in the order that takes the least time.
 start = "home"
 end = "home"
 via = "conveyor"
 visit = [{", ".join(f'"{slot}"' for slot in (*_LEFT, *_RIGHT))}]
 """
-CHANGES = """# Written by cyclekit demo: what would help?
+CHANGES = """# Written by cyclekit demo
+# What would help?
 [[change]]
 name = "zones 0.2 m tighter"
 levels = [0.0, 0.25, 0.5, 0.75, 1.0]

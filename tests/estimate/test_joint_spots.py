@@ -6,7 +6,6 @@ import importlib
 from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
 import pytest
 from known_cells import Constant
 from one_track import one_track
@@ -144,21 +143,6 @@ def test_after_his_last_task_he_goes_where_he_went_in_the_logs(
     assert xyz_m[begin, :2] == pytest.approx(places["out_left_1"].xyz_m[:2], abs=0.3)
     assert xyz_m[end, :2] == pytest.approx(places["rest"].xyz_m[:2], abs=0.3)
     assert found.durations_s(found.after("out_left_1")) == pytest.approx([1.0], abs=0.2)
-
-
-def test_work_that_begins_with_an_event_takes_as_long_whoever_comes_first(logged: Dataset) -> None:
-    begins = ConditionCard(agent="robot", place="home", event="leaves", lag_s=(2.0, 4.0, 10.0), with_work=True)
-    gate = GateCard(agent="operator", at="leave", place="inbound", own_s=(1.0, 3.0, 9.0), conditions=(begins,))
-    cell = JointCell(Constant(1.0), logged, CouplingCard(gates=(gate,)))
-    found = _rolled(cell, _plan(cell, 10.0, ("inbound", "rest")))
-    (operator,) = found.operators
-    leg = next(n for n, each in enumerate(operator.agenda.legs) if each.place == "inbound")
-    arrives_s, works_s, left_s = (
-        at[:, leg] for at in (operator.times.arrives_s, operator.times.works_s, operator.times.passes_s)
-    )
-    left_home_s = found.robot.times.passes_s[:, next(n for n, each in enumerate(found.robot.agenda.legs) if each.hold)]
-    assert left_s == pytest.approx(np.maximum(arrives_s, left_home_s + 1.0) + works_s - arrives_s)
-    assert np.std(left_s) > 1.0
 
 
 def test_a_plan_begins_as_executions_that_begin_so(logged: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

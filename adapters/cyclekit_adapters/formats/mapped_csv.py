@@ -189,7 +189,8 @@ def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
     if wrong := made.intersection(texts):
         raise ConfigError(f"{WHERE}: {min(wrong)!r} is an element of a list of numbers, but is mapped to a text")
     texts = list(dict.fromkeys([*texts, *(column for column, lists in columns.lists.items() if made & set(numbers))]))
-    some = [name for name in (*numbers, *texts) if name not in mapping.time]
+    all_but_time = [name for name in (*numbers, *texts) if name not in mapping.time]
+    some = all_but_time if role != "people" else []  # a row of a tracker without a position tells that nobody was seen
     texts += [name for name in mapping.only if name not in texts]
     if both := set(numbers).intersection(texts):
         raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")

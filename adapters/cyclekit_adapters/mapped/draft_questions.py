@@ -21,6 +21,7 @@ _TRANSLATION = {"tx", "ty", "tz"}
 _LINKS = {"shoulder", "upperarm", "elbow", "forearm", "wrist", "waist", "base", "s", "e", "w", "hip", "knee"}
 _SIDES = ("left", "right")
 _FEWEST_JOINTS = 4
+"""A size: fewer joints are no arm. 2 moves no draft of the tests; 8 loses arms of six joints."""
 _AXIS = re.compile(r"(.*?)([xyzXYZ])(.*)")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:['’.,\s]\d{3})+(?:[.,]\d+)?")
 _SHOWN = 3

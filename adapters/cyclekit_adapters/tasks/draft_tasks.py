@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.mapped.draft_table import DraftTable
 
 _FEWEST = 4
-"""Minimum number of rows: a format's number."""
+"""A size: a table of fewer rows shows no form. 2 moves no draft of the tests, 8 those of two short tables."""
 
 
 def task_draft(table: DraftTable) -> Draft | None:

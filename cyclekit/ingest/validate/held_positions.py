@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from cyclekit.schema import Vector
 
 HELD_S = 1.0
-"""Least time, s, that a position is held; a default. Half or twice of it only name more or fewer of them."""
+"""Least time, s, that a position is held; a default. Half of it names shorter ones too, twice only those
+of 2 s."""
 WALK_M_S = 2.0
 """Approach speed of a person's hand or fast walk, m/s (ISO 13855)."""
 

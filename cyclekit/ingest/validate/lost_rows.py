@@ -46,17 +46,20 @@ class LostRows:
     def add(self, part: Recording, aside: Iterable[pl.DataFrame]) -> None:
         """Add a part of the log, as it remains, and the rows set aside from it: `source_row`, `reason`."""
         self._read, self._rows_are = self._read + part.rows_read, part.rows_are
-        rows = pl.concat([pl.DataFrame(schema={"source_row": pl.Int64, "reason": pl.String}), *aside])
-        rows = rows.filter(~pl.col("reason").is_in(NO_LOSS))
-        rows = rows.filter(pl.col("source_row").is_null() | pl.col("source_row").is_first_distinct())
-        by_reason = rows.group_by("reason").agg(pl.len(), pl.col("source_row").min().alias("first"))
-        for reason, count, first in by_reason.iter_rows():
-            self._reasons[reason] += count
-            if first is not None:
-                self._first[reason] = min(first, self._first.get(reason, first))
+        some = [frame for frame in aside if frame.height]  # none, nearly always
+        rows = pl.concat([pl.DataFrame(schema={"source_row": pl.Int64, "reason": pl.String}), *some])
+        if some:
+            rows = rows.filter(~pl.col("reason").is_in(NO_LOSS))
+            rows = rows.filter(pl.col("source_row").is_null() | pl.col("source_row").is_first_distinct())
+            by_reason = rows.group_by("reason").agg(pl.len(), pl.col("source_row").min().alias("first"))
+            for reason, count, first in by_reason.iter_rows():
+                self._reasons[reason] += count
+                if first is not None:
+                    self._first[reason] = min(first, self._first.get(reason, first))
+            rows = rows.filter(~pl.col("reason").str.ends_with(CUT_LINE))
         used = [table["source_row"].max() for name, table in part.tables().items() if name in _ORDERED]
         self._last_used = max((row for row in (self._last_used, *used) if isinstance(row, int)), default=None)
-        lost = [*self._after, *rows.filter(~pl.col("reason").str.ends_with(CUT_LINE))["source_row"].drop_nulls()]
+        lost = [*self._after, *rows["source_row"].drop_nulls()]
         self._after = [row for row in lost if self._last_used is None or row > self._last_used]
 
     def warnings(self) -> list[str]:

@@ -18,7 +18,7 @@ from cyclekit.schema import is_joint
 from cyclekit.text.numbers import given
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -55,6 +55,13 @@ class Placeholders:
         here = frame[PLACE].to_numpy() == HERE
         self._seen += int(here.sum())
         axes = self.axes or [name for name in frame.columns if is_joint(name) and name.endswith("_rad")]
+        if not self.axes and not _any_row_of_zeros(frame, axes):  # nearly always; its last row is all that is needed
+            last = frame[np.flatnonzero(here)[-1:]]
+            at = np.array([last[name].cast(pl.Float64).to_numpy() for name in axes], np.float64)
+            at = at[np.isfinite(at[:, 0])] if at.size else at[:0]
+            if at.size:
+                self._remember(last, at, np.ones(1, np.bool_))
+            return frame
         at = np.full((len(axes), frame.height), np.nan)
         for axis, name in enumerate(axes):
             if name in frame.columns:
@@ -113,6 +120,19 @@ class Placeholders:
             self.said.format(value=given(value), count=count, rows=self._seen)
             for value, count in sorted(self._rows.items(), key=lambda item: -item[1])
         ]
+
+
+def _any_row_of_zeros(frame: pl.DataFrame, names: Sequence[str]) -> bool:
+    """Return whether in some row all columns are 0 that have a value in any row; most often one column tells."""
+    rows, told = np.ones(frame.height, np.bool_), 0
+    for name in names:
+        values = frame[name].cast(pl.Float64).to_numpy()
+        zero = values == 0.0
+        if zero.any():
+            rows, told = rows & zero, told + 1
+        elif np.isfinite(values).any():
+            return False
+    return told > 1 and bool(rows.any())
 
 
 def _computed(odd: pl.DataFrame) -> list[str]:

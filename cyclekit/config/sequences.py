@@ -93,12 +93,7 @@ def load_sequences(path: Path | str) -> list[TaskSequence]:
     Raises:
         ConfigError: The file cannot be read, has no sequence, or a sequence is invalid.
     """
-    try:
-        raw = read_toml(path)
-    except ConfigError as error:
-        if isinstance(error.__cause__, FileNotFoundError):
-            raise ConfigError(f"{path}: no such file", cure=_EXAMPLE) from error
-        raise
+    raw = read_toml(path, _EXAMPLE)
     entries = require_list(str(path), raw, "sequence")
     if not entries and not set(raw) - {"sequence"}:
         raise ConfigError(f"{path}: no [[sequence]] in it", cure=_EXAMPLE)

@@ -28,14 +28,21 @@ Table = TypeVar("Table")
 _PAGE = "docs/commands.md (of a fleet: docs/fleet.md) shows the keys and their values."
 
 
-def read_toml(path: Path | str) -> dict[str, object]:
+def read_toml(path: Path | str, example: str = "") -> dict[str, object]:
     """Return the values of a TOML file; line breaks and control characters in names are escaped.
+
+    Args:
+        path: The file.
+        example: Such a file as the cure where there is none; empty: the path is to be checked.
 
     Raises:
         ConfigError: The file cannot be read or is not TOML.
     """
     try:
         content = regular(Path(path)).read_bytes()
+    except FileNotFoundError as error:
+        seen = "no such file" if example else f"cannot be read ({error.strerror})"
+        raise ConfigError(f"{path}: {seen}", cure=example or "Check the path.") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})", cure="Check the path.") from error
     try:

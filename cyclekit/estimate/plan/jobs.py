@@ -190,12 +190,7 @@ def load_jobs(path: Path | str) -> Jobs:
     Raises:
         ConfigError: The file cannot be read, or its jobs cannot be ordered.
     """
-    try:
-        raw = read_toml(path)
-    except ConfigError as error:
-        if isinstance(error.__cause__, FileNotFoundError):
-            raise ConfigError(f"{path}: no such file", cure=_EXAMPLE) from error
-        raise
+    raw = read_toml(path, _EXAMPLE)
     if not raw:
         raise ConfigError(f"{path}: no jobs in it", cure=_EXAMPLE)
     if "task" in raw:
